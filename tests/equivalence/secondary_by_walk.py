@@ -1,4 +1,4 @@
-"""The secondary of four captures by the general walk, which the factorised form is held against.
+"""The secondary of four captures by path tracing, which the factorised form is compared with.
 
 `python tests/equivalence/secondary_by_walk.py` computes `data/secondary_by_walk.npz` anew (some minutes); a nightly
 test does so with other seeds.
@@ -36,7 +36,8 @@ def walked(place: str, seeds: range) -> NDArray[np.float64]:
 
 
 def coarse(runs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Runs (n, 200) in bins of 0.5 m, so that each holds many paths and its spread is near normal, and their sum."""
+    """Runs (n, 200) in bins of 0.5 m, so that each bin holds many paths and its spread is nearly normal, followed by
+    their sum."""
     return np.column_stack([runs.reshape(len(runs), 40, 5).sum(axis=2), runs.sum(axis=1)])
 
 

@@ -1,12 +1,12 @@
-"""Every way of computing light equals the definition (`transport/reference.py`): for every BRDF, shape and scan.
+"""Every way of computing light equals the definition (`transport/reference.py`), for every BRDF, shape and scan.
 
-The truth are sampled paths, which `test_sampled_paths.py` holds against the definition itself.
+The truth is sampled paths, which `test_sampled_paths.py` compares with the definition itself.
 
-Compared are energies: of each part's primary, of each histogram, and of windows of time; of the primary and of the
-secondary each. The reference and the walk are known from `RUNS` independent runs, so a difference is held against
-Student's t at a family-wise level of `LEVEL` over all numbers of a case. What a way claims of its own error comes on
+Energies of the primary and of the secondary are compared: of each part (primary only), of each histogram, and of
+windows of time. Reference and path tracing are known from `RUNS` independent runs, so a difference is judged by
+Student's t at a family-wise level of `LEVEL` over all numbers of a case. The error that a way claims is allowed on
 top: the energy of a part may be off by its relative error; and an L2 error e over histograms lets the sum of n bins
-be off by e √n at most (Cauchy & Schwarz). By day a spread share of the cases, all of them nightly.
+be off by at most e √n (Cauchy & Schwarz). The daily test takes a few cases spread over all, the nightly test all.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ def scene_of(material: str, shape: str) -> Scene:
 
 
 def energies(found: Transient, shape: str) -> Numbers:
-    """Energies by component; by part where no two parts lie on each other, for then either may have the light."""
+    """Energies by component, and by part unless two parts lie on each other, for then either part may have the
+    light."""
     numbers = {}
     for name, light in found.components.items():
         numbers[f"{name} by histogram"] = light.sum(axis=2).ravel()
@@ -139,13 +140,13 @@ def energies(found: Transient, shape: str) -> Numbers:
 
 
 def claims(run: Transient, kind: str) -> NDArray[np.float64]:
-    """How far the energies of one kind may be off, by what a run to a target claims; 0 without a target."""
+    """The largest differences of energies of one kind that a run to a target claims; 0 without a target."""
     if run.error_bound is None:
         return np.zeros(1)
     lit = run.total > 0
     whole = run.error_bound * np.linalg.norm(run.total)
     if kind.endswith("by part"):
-        # Of what is no object nothing is claimed but what it makes of the whole.
+        # Parts that are no objects have no claim of their own: they may be off by as much as the whole.
         return np.array([
             run.part_errors[name] * of.sum() if name in run.part_errors else whole * np.sqrt((of > 0).sum())
             for name, of in run.parts.items()
@@ -155,7 +156,7 @@ def claims(run: Transient, kind: str) -> NDArray[np.float64]:
 
 
 def of_runs(runs: list[Numbers]) -> tuple[Numbers, Numbers]:
-    """Mean and standard error, 0 of a single run."""
+    """Mean and standard error over runs; the error is 0 for a single run."""
     values = {kind: np.array([run[kind] for run in runs]) for kind in runs[0]}
     scatter = {kind: of.std(axis=0, ddof=min(len(runs) - 1, 1)) for kind, of in values.items()}
     return (
@@ -215,7 +216,7 @@ def hold(way: str, material: str, shape: str, capture: str) -> None:
             for k in np.flatnonzero(np.abs(of - true[kind]) > allowed)
         ]
     assert not wrong, (dict(runs[0].spend.way), wrong)
-    # It says something only where the light is known well.
+    # The comparison means something only where the light is known well.
     of_primary, noise = true["primary by histogram"], known["primary by histogram"]
     assert np.sqrt((noise**2).sum()) < 0.05 * of_primary.sum()
 
@@ -225,11 +226,12 @@ ONCE_WRONG = [
     ("phong 2", "ball", "confocal", "cells"), ("phong 60", "ball", "confocal", "cells"),
     ("retroreflector 0.12", "touching", "confocal", "cells"), ("phong 10", "open_mesh", "confocal", "pairs of cells"),
 ]  # fmt: skip
-"""Ways that lost light, or had too much, when this test was written."""
+"""Cases in which some way lost light, or had too much, when this test was written."""
 
 
 def spread_share() -> list[tuple[str, str, str, str]]:
-    """Every BRDF on every shape, each set of parameters twice, with two of the ways one time and the others then."""
+    """Cases with every BRDF on every shape; each set of parameters occurs twice, each time with two of the four
+    ways."""
     materials, shapes, captures, ways = list(MATERIALS), list(SHAPES), list(CAPTURES), list(WAYS)
     return [
         (materials[k % 18], shapes[(k % 3 + k // 3 + 3 * (k // 18)) % 6], captures[(k + k // 4) % 4], way)

@@ -1,7 +1,9 @@
-"""The paper's estimator equals a plain transcription of its Eq. 6 and Eq. 8 that shares no code with it, to rounding.
+"""The paper's estimator equals, to rounding, a plain transcription of its Eq. 6 and Eq. 8 that shares no code with
+it.
 
-Plain: one path after the other in Python, each ray against every triangle by Möller & Trumbore's test, angles from
-the local coordinates of Eq. 3 to 5, the field of view by where a line of sight crosses the wall's plane.
+The transcription traces one path after the other in Python, tests each ray against every triangle by Möller &
+Trumbore's method, takes angles from the local coordinates of Eq. 3 to 5, and the field of view from where a line of
+sight crosses the wall's plane.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ class Met:
 
 
 class PlainRoom:
-    """First surfaces and shadows, by brute force in double precision."""
+    """First surfaces and shadows by brute force in double precision."""
 
     def __init__(self, scene: dg.Scene) -> None:
         self.scene = scene
@@ -53,7 +55,8 @@ class PlainRoom:
         return not (self._crossings(start, end - start) < 1).any()
 
     def _crossings(self, start: Vector, direction: Vector) -> Vector:
-        """Where the ray crosses each triangle, in units of `direction`, ∞ for a miss (Möller & Trumbore 1997)."""
+        """Distances at which the ray crosses each triangle, in units of `direction`, ∞ for a miss (Möller & Trumbore
+        1997)."""
         a, b, c = self.scene.corners.transpose(1, 0, 2)
         p = np.cross(direction, c - a)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,7 +69,7 @@ class PlainRoom:
 
 
 def local_axes(normal: Vector) -> tuple[Vector, Vector]:
-    """Right and up in the surface."""
+    """Unit vectors to the right and up within the surface."""
     away = np.array([1.0, 0, 0]) if abs(normal[2]) > 0.999999 else np.array([0, 0, 1.0])
     up = away - (away @ normal) * normal
     up /= np.linalg.norm(up)
@@ -74,7 +77,7 @@ def local_axes(normal: Vector) -> tuple[Vector, Vector]:
 
 
 def brdf(material: object, normal: Vector, direction: Vector) -> float:
-    """B of a direction (not of unit length): cosφ of Eq. 4, or |sinθ| with the azimuth of Eq. 5."""
+    """The BRDF B towards a direction (not of unit length): cosφ of Eq. 4, or |sinθ| with the azimuth of Eq. 5."""
     cosine = float(normal @ direction / np.linalg.norm(direction))
     if cosine <= 0:
         return 0.0
@@ -253,7 +256,8 @@ def energies(transient: dg.records.Transient) -> tuple[float, float]:
 
 
 def test_levels_carry_a_unit_of_length(room: tuple[dg.Scene, dg.Capture]) -> None:
-    """Eq. 6 has three 1/R² and one aperture, Eq. 8 four: L_p goes as unit⁴, L_s as unit⁶, L_s/L_p as unit²."""
+    """Eq. 6 has three factors 1/R² and one aperture, Eq. 8 four and one: L_p scales as unit⁴, L_s as unit⁶, L_s/L_p
+    as unit²."""
     (p_mm, s_mm), (p_m, s_m) = (
         energies(dg.simulate_as_printed(*room, dg.AsPrinted(5, 12, unit))) for unit in (1e-3, 1.0)
     )
@@ -263,10 +267,11 @@ def test_levels_carry_a_unit_of_length(room: tuple[dg.Scene, dg.Capture]) -> Non
 
 
 def test_levels_depend_on_the_number_of_rays_where_radiometric_ones_do_not(room: tuple[dg.Scene, dg.Capture]) -> None:
-    """As printed, the primary keeps its level, each α being a share; the secondary's products of 1/R² have no bound
-    towards corners, and more rays reach nearer.
+    """As printed, the primary keeps its level because each α is a fraction of the light; the secondary's products of
+    1/R² are unbounded towards corners, and more rays come nearer to these.
 
-    Radiometric levels agree: Student's t of 8 seeds at a family-wise level of 10⁻³ over two counts and components.
+    Radiometric levels agree between two counts: Student's t of 8 seeds at a family-wise level of 10⁻³ over
+    components.
     """
     few, some, many = 8, 16, 48
     printed = np.array([energies(dg.simulate_as_printed(*room, dg.AsPrinted(n, 20))) for n in (few, some, many)])
@@ -286,7 +291,8 @@ def test_levels_depend_on_the_number_of_rays_where_radiometric_ones_do_not(room:
 def test_a_per_lookin_alpha_makes_the_secondary_grow_with_the_number_of_lookins(
     room: tuple[dg.Scene, dg.Capture],
 ) -> None:
-    """Each lookin then receives all of the laser's light; over the room it is shared, so the ratio is about N."""
+    """With α for each hidden vertex, every one of N hidden vertices receives all of the laser's light; with α over
+    the room they share it, so the ratio is about N."""
     for n in (5, 10):
         one, other = (
             energies(dg.simulate_as_printed(*room, dg.AsPrinted(n, 12, conserved=c)))[1] for c in ("lookin", "room")

@@ -1,4 +1,5 @@
-"""A bin is the integral of the flux between its edges: narrow bins added up are wide ones, whatever the way."""
+"""A bin is the integral of the flux between its edges: narrow bins add up to wide ones, whatever way computes the
+light."""
 
 from __future__ import annotations
 
@@ -19,12 +20,12 @@ SCENE = furnished_box()
 
 
 def axis(bins: int, width_m: float, origin: str = "wall") -> TimeAxis:
-    """Begins where light has come already, and ends before all has."""
+    """A time axis that begins after the first light has arrived and ends before the last."""
     return bins_of_path(bins, width_m, 1.2 if origin == "wall" else 3.2, origin)
 
 
 def scan(time: TimeAxis) -> Capture:
-    """Confocal points, so that each pixel sees its laser point."""
+    """A confocal scan, so that each pixel sees its laser point."""
     points = np.array([(0, -0.8, 1.4), (0, 0.4, 1.2)])
     device = (1.5, 0.1, 1.3)
     return Capture(Laser(device, points), Sensor(device, square_pixels(points, 0.2)), time, "confocal")
@@ -36,7 +37,7 @@ def added_up(narrow: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("origin", ["wall", "source"])
 def test_walks_add_up_exactly(origin: str) -> None:
-    """All orders: direct, primary, secondary and higher, and what falls outside the window."""
+    """Path tracing, all orders: direct, primary, secondary and higher, and the light outside the window."""
     accuracy = Accuracy(512, 4, 5, 2, direct=True)
     wide, narrow = (simulate(SCENE, scan(axis(40 * n, 0.2 / n, origin)), accuracy, seed=3) for n in (1, FACTOR))
     assert wide.components.keys() >= {"direct", "primary", "secondary", "higher"}
@@ -48,7 +49,7 @@ def test_walks_add_up_exactly(origin: str) -> None:
 
 
 def test_cells_add_up_exactly() -> None:
-    """Of a cutting that does not ask how wide the bins are."""
+    """The primary by quadrature, with a cutting that does not depend on the width of bins."""
     found = []
     for n in (1, FACTOR):
         task = prepared(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(max_bounces=3), 0, split_parts=False)
@@ -63,7 +64,8 @@ def test_cells_add_up_exactly() -> None:
 
 
 def test_a_target_adds_up_to_within_itself() -> None:
-    """The bins' width decides how finely surfaces are cut: two answers, each within its target of one truth."""
+    """The width of bins decides how finely surfaces are cut, so two runs differ, each within its target of the same
+    truth."""
     target = 0.02
     wide, narrow = (
         simulate(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(target=target, max_bounces=3), seed=3).total
@@ -84,7 +86,7 @@ def test_the_paper_s_estimator_adds_up_exactly() -> None:
 
 
 def test_the_factorised_secondary_adds_up() -> None:
-    """But for the pairs within half a sub-bin of an edge.
+    """Bins add up except for pairs within half a sub-bin of an edge.
 
     Smoothing over a sub-bin of width w / SUB_BINS changes a bin of width w by w³ f″ / (24 SUB_BINS²).
     """

@@ -1,7 +1,7 @@
-"""The primary from cells and from the walk, two ways with nothing in common but the BRDFs: the same light.
+"""The primary by quadrature and by path tracing, two ways that share only the BRDFs: the light is the same.
 
-The walk's mean over `RUNS` seeds, with Student's t at 10⁻³ over all numbers compared, and the error that was asked
-of the cells on top: energy of every part, of every laser point and pixel, and by coarse bins of time.
+The mean of path tracing over `RUNS` seeds is compared by Student's t at 10⁻³ over all numbers, with the error asked
+of quadrature allowed on top: energy of every part, of every laser point and pixel, and by coarse bins of time.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ ASKED = 0.01
 DEVICE = (1.5, 0.1, 1.3)
 TIME = bins_of_path(160, 0.1, 0.0)
 COARSE = 8
-"""Bins that are added up: the walk may share a path between neighbours."""
+"""Number of bins added up into one: path tracing may divide a path between neighbouring bins."""
 
 
 def numbers(found: Transient) -> NDArray[np.float64]:
-    """Energies: by part with all overflow, by laser point and pixel, by coarse time."""
+    """Energies by part followed by the overflow, by laser point and pixel, and by coarse bins of time."""
     kept = len(found.time.centers_s) // COARSE * COARSE
     by_time = found.total[..., :kept].sum(axis=(0, 1)).reshape(-1, COARSE).sum(axis=1)
     parts = [values.sum() for values in found.parts.values()]
@@ -40,19 +40,20 @@ WALK = Accuracy(4096, 4, replicates=1)
 
 
 def same_light(scene: Scene, capture: Capture, walk: Accuracy = WALK, faint: float = 0.1) -> Transient:
-    """faint : numbers smaller than this share of the largest may be off by as much as that would."""
+    """Compare quadrature with path tracing. faint : numbers below this fraction of the largest may be off by that
+    fraction."""
     asked = Accuracy(target=ASKED, part_target=ASKED, occlusion=walk.occlusion)
     cells = simulate(scene, capture, asked, seed=1)
     assert cells.spend is not None and cells.spend.way["primary"] == "cells"
     runs = np.array([numbers(simulate(scene, capture, walk, seed=s)) for s in range(RUNS)])
     ours = numbers(cells)
     off = np.abs(ours - runs.mean(axis=0))
-    # What the cells may be off by: their error, and in the middle of steep flanks that of neighbouring bins.
+    # Quadrature may be off by the error asked, and in the middle of steep flanks by that of neighbouring bins.
     own = ASKED * np.maximum(ours, faint * ours.max())
     allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(runs, axis=0) + own
     assert ours.max() > 0
     assert (off <= allowed).all(), np.column_stack([ours, runs.mean(axis=0), allowed])[off > allowed]
-    # It says something only where the walk is known well.
+    # The comparison means something only where the light of path tracing is known well.
     whole = runs[:, : len(scene.part_names) + 1].sum(axis=1)
     assert stats.sem(whole) < 0.02 * whole.mean()
     return cells
@@ -115,7 +116,7 @@ def test_every_brdf_that_varies_slowly(material: Material) -> None:
     room = furnished_box()
     materials = tuple(material if name in ("box", "floor", "relay_wall") else old
                       for name, old in zip(room.part_names, room.materials, strict=True))  # fmt: skip
-    # Small triangles with lobes are stood for by points at random, whose noise faint bins show.
+    # Random points stand for small triangles with lobes: their noise shows in faint bins.
     same_light(replace(room, materials=materials), several("confocal"), faint=0.2)
 
 
@@ -145,7 +146,7 @@ def tilted_plate() -> trimesh.Trimesh:
 
 
 def nested() -> trimesh.Trimesh:
-    """Two boxes, the inner one seen through the open face of the outer one alone."""
+    """Two boxes, where the inner one is seen only through the open face of the outer one."""
     outer, inner = trimesh.creation.box((0.6, 0.6, 0.6)), trimesh.creation.box((0.25, 0.25, 0.25))
     outer.update_faces(outer.triangles_center[:, 0] > -0.29)
     both = trimesh.util.concatenate([outer, inner])

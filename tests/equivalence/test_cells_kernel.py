@@ -1,4 +1,5 @@
-"""The short cuts of the cells' loop against the plain way: every ray asked, every bin its own integral."""
+"""The short cuts of the quadrature kernel give the light of the plain way: every shadow ray cast, every bin
+integrated."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ from datagen.transport.visibility.occlusion import LISTED, SUSPECT, hidden, list
 
 
 def cluttered() -> Scene:
-    """A wall, a ball, two boxes that stand in each other, a ring turned inside out, one whose vertices are each
-    triangle's own, a ball with a dent through its other side, and a box without a lid."""
+    """A wall, a ball, two boxes that intersect, a ring turned inside out, a ring whose triangles share no vertices, a
+    ball with a dent through its other side, and a box without a lid."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     ball.apply_translation((1.2, 0.3, 0.4))
     box = trimesh.creation.box(bounds=[(0.9, -0.5, -0.3), (1.3, -0.1, 0.3)])
@@ -46,7 +47,7 @@ def cluttered() -> Scene:
 
 
 def crossed(x: np.ndarray, y: np.ndarray, corners: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """(n,) whether any triangle other than number `own` crosses the open line from x to y, in plain algebra."""
+    """(n,) whether any triangle other than triangle `own` crosses the open line from x to y, in plain algebra."""
     d = y - x
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     system = np.stack([np.broadcast_to(b - a, (len(x), *a.shape)), np.broadcast_to(c - a, (len(x), *a.shape)),
@@ -58,7 +59,7 @@ def crossed(x: np.ndarray, y: np.ndarray, corners: np.ndarray, own: np.ndarray) 
 
 
 def drawn(tree: Hierarchy, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points x before the scene, triangles, and small cells (n, 3, 3) on them."""
+    """Points x in front of the scene, triangles, and small elements (n, 3, 3) on these."""
     rng = np.random.default_rng(seed)
     x = rng.uniform((0.0, -1, -1), (0.3, 1, 1), (n, 3))
     own = rng.integers(len(tree.corners), size=n)
@@ -68,8 +69,8 @@ def drawn(tree: Hierarchy, n: int, seed: int) -> tuple[np.ndarray, np.ndarray, n
 
 
 def test_candidates_hide_what_all_triangles_do() -> None:
-    """Rays that ask what was handed down, from all that hides or from the cell, answer as the plain algebra over all
-    triangles; and where nothing is left, nothing hides any point of the cell."""
+    """Shadow rays that test only the candidates handed down to an element give the answer of plain algebra over all
+    triangles; and if no candidate is left, nothing hides any point of the element."""
     scene = cluttered()
     tree = Hierarchy.of(scene)
     hides = Occluders.of(scene, tree)
@@ -104,7 +105,7 @@ def histograms(scene: Scene, capture: Capture, occlusion: str, error: float) -> 
 
 
 def within_a_ring() -> Scene:
-    """A ring about the laser point, which its box encloses, as it does not the pixel."""
+    """A ring whose bounding box contains the laser point but not the pixel."""
     ring = trimesh.creation.torus(0.3, 0.08, 24, 12)
     ring.apply_transform(trimesh.transformations.euler_matrix(0.2, 1.4, 0.1))
     ring.apply_translation((0.05, -0.3, 0.5))
@@ -116,7 +117,7 @@ def within_a_ring() -> Scene:
 
 
 def touching() -> Scene:
-    """Boxes that stand on each other, their edges where points of cells lie."""
+    """Boxes that stand on each other, with edges where points of elements lie."""
     wall = Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
     third = 0.4 / 3
     bounds = [[(1.0, -0.4, -0.4), (1.4, 0.4, 0.4)], [(0.8, -third, 0.0), (1.0, third, third)],
@@ -137,7 +138,8 @@ def touching() -> Scene:
 def test_proofs_save_rays_and_change_nothing(
     scene: Callable[[], Scene], share: float, half_side_m: float
 ) -> None:  # fmt: skip
-    """Each part's light with rays saved is that with all rays asked, but for the odd cell that rays miss."""
+    """The light of each part with rays saved is that with all rays cast, apart from a rare element that the three
+    rays miss."""
     room = scene()
     capture = one_point_capture(
         (0, -0.3, 0.5), (0, 0.4, 0.6), half_side_m, bins_of_path(200, 0.02, 0.0), (0.4, 0.1, 0.9)
@@ -146,14 +148,15 @@ def test_proofs_save_rays_and_change_nothing(
     plain, _, all_rays = histograms(room, capture, "on", 1e-3)
     norm = np.linalg.norm(plain, axis=(0, 2))
     assert norm.max() > 0
-    # As much as one cell may be wrong by.
+    # The error that one element may make.
     assert (np.linalg.norm(fast - plain, axis=(0, 2)) <= 1e-3 * np.maximum(norm, 1e-3 * norm.max())).all()
     assert rays < share * all_rays
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_tent_is_the_integral_of_its_light(seed: int) -> None:
-    """Bins against a million points of the triangle, in and over both ends of the window, steep and flat."""
+    """The bins equal sums over a million points of the triangle: inside the window, across both of its ends, steep
+    and flat."""
     rng = np.random.default_rng(seed)
     n, bins = 1000, 12
     u, v = (np.stack(np.meshgrid(np.arange(n), np.arange(n))).reshape(2, -1) + 0.5) / n
@@ -184,9 +187,9 @@ def test_a_part_whose_error_is_boundless_is_left_out() -> None:
 
 @pytest.mark.parametrize(("half_side_m", "origin"), [(1e-3, "wall"), (0.05, "source"), (0.4, "wall")])
 def test_cells_taken_together_are_those_taken_one_by_one(half_side_m: float, origin: str) -> None:
-    """Surfaces by Lambert's law against the same as the smoothest of another model, whose cells never wait with the
-    clear ones: as many cells and rays, and but for rounding the same light in each bin, from a point to a wide pixel,
-    in haze, beside a corner, behind a screen and over the ends of the window."""
+    """Lambertian surfaces against surfaces of another model at its Lambertian limit, whose elements are never
+    processed in batches: as many elements and rays, and the same light in each bin but for rounding; from a point to
+    a wide pixel, in haze, beside a corner, behind a screen and across the ends of the window."""
     places = {
         "wall": ((0, 0, 0), (0, 1, 0), (0, 0, 1)), "behind": ((2, 0, 0), (0, -1, 0), (0, 0, 1)),
         "beside": ((1, -1, 0), (1, 0, 0), (0, 0, 1)), "screen": ((1.2, 0.3, 0.1), (0, -0.3, 0.1), (0, 0, 0.4)),

@@ -1,4 +1,4 @@
-"""Proofs of clear sight against rays: never wrong, and worth their making."""
+"""Proofs that a line of sight is clear, compared with rays: never wrong, and frequent enough to pay."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from datagen.transport.visibility.raycast import Raycaster
 def test_proofs_of_clear_sight_are_never_wrong(
     scene: Scene, on_wall: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> None:
-    """What pyramids prove, rays confirm; and they prove most of what is true."""
+    """Rays confirm every proof by pyramids, and most clear lines of sight are proven."""
     caster = Raycaster(scene)
     rng = np.random.default_rng(4)
     hits = caster.closest(on_wall + 1.3 * normal, rng.normal(size=(40_000, 3)))
     keep = hits.valid
     position, facing = hits.position[keep], hits.normal[keep]
-    # Seen from elsewhere, on sides that face the point on the wall or not: only those that face it can be lit.
+    # Triangles seen from elsewhere may face the point on the wall or not: only those that face it can be lit.
     front = (np.einsum("nk,nk->n", on_wall - position, facing) > 1e-6) & ((position - on_wall) @ normal > 1e-6)
     position, facing = position[front], facing[front]
     fov = on_wall + np.column_stack([np.zeros(64), rng.uniform(-0.4, 0.4, (64, 2))])

@@ -1,4 +1,4 @@
-"""Compiled kernels divide as numpy does whoever calls them, and are cached where they can be."""
+"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ def test_division_by_zero_does_not_hang_on_who_calls() -> None:
 
 
 def test_where_sources_cannot_be_written_beside_the_cache_is_the_users(tmp_path: Path) -> None:
-    """An installation that is read-only: of two processes the first compiles, the second reads what it left."""
+    """With a read-only installation, the first of two processes compiles into the user's cache and the second reads
+    that."""
     package, home = tmp_path / "package", tmp_path / "home"
     package.mkdir()
     (package / "kernels.py").write_text(
         "from datagen.compiled import compiled, first_use\n@compiled()\ndef twice(x):\n    return 2 * x\n"
     )
-    # A file in the place of the folder for caches: that holds for root, too, whom no permission stops.
+    # A file takes the place of the folder for caches: permissions would not stop the superuser.
     (package / "__pycache__").touch()
     code = "from kernels import twice\nprint(twice(21), sum(twice.stats.cache_hits.values()), twice.stats.cache_path)"
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}

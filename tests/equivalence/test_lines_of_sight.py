@@ -1,4 +1,5 @@
-"""Lines of sight through the corners of walls: the surface and the point are matters of geometry, not of rounding."""
+"""Lines of sight through the corners of walls: the surface and the point met follow from geometry, not from
+rounding."""
 
 from __future__ import annotations
 
@@ -27,8 +28,8 @@ def grid_of(corners: NDArray[np.float64], along: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("hair", [0.0, 1e-9, -1e-9, 1e-7, -1e-7])
 @pytest.mark.parametrize("along", [3, 5])
 def test_a_pixel_that_ends_where_walls_touch_ends_there_exactly(along: int, hair: float) -> None:
-    """The wall x = 0 from floor to ceiling and side to side, its pixels grown or shrunk by a hair about the eye:
-    every line sees that wall, at the point that geometry gives, to 10⁻¹² m."""
+    """The pixels of the wall x = 0 reach from floor to ceiling and from side to side, or a hair more or less: every
+    line of sight meets that wall, at the exact point to 10⁻¹² m."""
     scene = furnished_box()
     pixels = Sensor.grid(EYE, (0, 0, 1.25), (0, 1.5, 0), (0, 0, 1.25), 4, 4).pixels
     foot = np.array([0.0, EYE[1], EYE[2]])
@@ -42,7 +43,8 @@ def test_a_pixel_that_ends_where_walls_touch_ends_there_exactly(along: int, hair
 @pytest.mark.parametrize("half_side_m", [1e-6, 1e-4, 0.1])
 @pytest.mark.parametrize("hair", [0.0, 1e-9, -1e-9, 1e-7, -1e-7])
 def test_a_pixel_in_the_corner_of_three_walls(half_side_m: float, hair: float) -> None:
-    """Down to one that single precision hardly tells from a point; moved by a hair across the corner or away."""
+    """Pixels so small that single precision hardly distinguishes them from a point, and pixels moved a hair across
+    the corner or away from it."""
     corner = np.array([[0.0, 1.5, 2.5]])
     pixels = square_pixels(corner + (hair - half_side_m) * np.array([0.0, 1.0, 1.0]), half_side_m)
     lines = lines_of_sight(Raycaster(furnished_box()), Sensor(EYE, pixels), 3)
@@ -53,7 +55,8 @@ def test_a_pixel_in_the_corner_of_three_walls(half_side_m: float, hair: float) -
 
 
 def test_a_line_past_the_end_of_a_wall_stays_near_what_its_pixel_sees() -> None:
-    """Grazing a floor, a line a little farther up would meet its plane kilometres away, or behind the eye."""
+    """A line that grazes a floor, tilted a little more, would meet the floor's plane kilometres away or behind the
+    eye."""
     floor = Scene.from_parts([Part("floor", rectangle((0, 0, 0), (5, 0, 0), (0, 5, 0)), Lambertian(0.5))])
     eye = np.array([-4.0, 0.0, 1e-3])
     pixels = np.array([[[-3.0, -0.1, 0.0], [-3.0, 0.1, 0.0], [-3.0, 0.1, 1.01e-3], [-3.0, -0.1, 1.01e-3]]])
@@ -65,7 +68,8 @@ def test_a_line_past_the_end_of_a_wall_stays_near_what_its_pixel_sees() -> None:
 
 
 def test_patches_are_the_same_wherever_rounding_falls() -> None:
-    """The ball about a pixel that fills a wall, its corners moved by 10⁻⁹ of their distance."""
+    """The ball about the patch of a pixel that fills a wall does not change when its corners move by 10⁻⁹ of their
+    distance."""
     caster, balls = Raycaster(furnished_box()), []
     sensor = Sensor.grid(EYE, (0, 0, 1.25), (0, 1.5, 0), (0, 0, 1.25), 1, 1)
     for hair in (0.0, 1e-9, -1e-9):

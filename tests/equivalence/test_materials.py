@@ -1,7 +1,8 @@
-"""`simulate` with surfaces that are not Lambertian against a plain estimate: quadrature and formulas from the books.
+"""`simulate` with surfaces that are not Lambertian, compared with a plain estimate: a sum over points with printed
+formulas.
 
-The plain estimate walks over the triangles in numpy, tests every line of sight against every triangle, and writes
-each BRDF as its source prints it, with what a model loses to multiple scattering integrated numerically.
+The plain estimate goes over the triangles in numpy, tests every line of sight against every triangle, and writes each
+BRDF as its source prints it; the light that a model loses to multiple scattering is integrated numerically.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def printed_phong(albedo: float, exponent: float, specular: float) -> Brdf:
 
 
 def with_what_is_lost(albedo: float, single: Brdf) -> Brdf:
-    """Add (1 − E)(1 − E)/(π (1 − Ē)) with E and Ē of a white `single` found by quadrature."""
+    """The BRDF with (1 − E)(1 − E)/(π (1 − Ē)) added, where E and Ē of a white `single` come from numerical
+    integrals."""
     cosines = np.linspace(0, 1, 61) ** 2
     theta = (np.arange(600) + 0.5) / 600 * np.pi / 2
     # Half of the directions: the other half is their mirror image in the plane of incidence.
@@ -126,7 +128,8 @@ def printed_lambertian(albedo: float) -> Brdf:
 
 
 def hidden(origin: Vectors, target: Vectors, corners: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether any triangle stands strictly between origin and target (n, 3): Möller & Trumbore, all against all."""
+    """Whether any triangle lies strictly between origin and target (n, 3), by Möller & Trumbore's test of all against
+    all."""
     blocked = np.zeros(len(target), np.bool_)
     span = target - origin
     for a, b, c in corners:
@@ -145,7 +148,8 @@ def hidden(origin: Vectors, target: Vectors, corners: NDArray[np.float64]) -> ND
 def plain_primary(
     scene: Scene, x1: Vectors, x3: Vectors, axis: TimeAxis, brdfs: dict[str, Brdf], cell_m: float, only: str = ""
 ) -> dict[str, NDArray[np.float64]]:
-    """Primary of a laser point and a tiny pixel on the wall x = 0, by part: mid-points of equal cells, all pairs."""
+    """Primary of a laser point and a tiny pixel on the wall x = 0, by part: midpoints of equal elements, all
+    pairs."""
     wall = brdfs["relay_wall"]
     normal_1 = np.array([[1.0, 0, 0]])
     omega = (2 * HALF_SIDE) ** 2 * (DEVICE - x3)[0] / np.linalg.norm(DEVICE - x3) ** 3
@@ -203,7 +207,8 @@ def plain_lambertian() -> dict[str, NDArray[np.float64]]:
 
 
 def compare(scene: Scene, truth: dict[str, NDArray[np.float64]], tolerance: float = 2e-3) -> None:
-    """Energy of every part and the shape over 0.1 m bins, against the plain estimate and the stated errors."""
+    """Compare the energy of every part and the shape in bins of 0.1 m with the plain estimate, within the stated
+    errors."""
     result = simulate(scene, CAPTURE, Accuracy(1 << 16, 1, 3, 16), seed=7)
     for name in ("box", "pillar", "walls", "floor", "ceiling"):
         measured = result.parts[name][0, 0]
@@ -231,14 +236,14 @@ def compare(scene: Scene, truth: dict[str, NDArray[np.float64]], tolerance: floa
     ids=("phong", "phong and diffuse", "oren-nayar", "ggx 0.4", "ggx 0.8", "retroreflector"),
 )
 def test_a_box_of_another_material(material: Material, printed: Callable[[], Brdf]) -> None:
-    """By three bounces the box's material changes the box's own light and no other part's."""
+    """In three bounces the box's material changes the box's own light and that of no other part."""
     scene = furnished_with(box=material)
     brdfs = {n: printed_lambertian(0.7) for n in scene.part_names} | {"box": printed()}
     compare(scene, plain_lambertian() | {"box": plain(scene, brdfs, "box")["box"]})
 
 
 def test_the_wall_and_the_objects_all_different() -> None:
-    """The same at the laser point and the FoV point: a glossy wall, a rough pillar, a metal box."""
+    """Other materials at the laser point and the FoV point, too: a glossy wall, a rough pillar, a metal box."""
     scene = furnished_with(relay_wall=Phong(0.8, 5, 0.5), box=GGX(0.9, 0.5), pillar=OrenNayar(0.6, 0.35))
     special = {
         "relay_wall": printed_phong(0.8, 5, 0.5),
@@ -249,7 +254,8 @@ def test_the_wall_and_the_objects_all_different() -> None:
 
 
 def test_reciprocity_of_the_transient() -> None:
-    """Swapping laser point and FoV point, of three and four bounces, with hardly a Lambertian surface in the room."""
+    """Swapping laser point and FoV point changes neither three nor four bounces, with hardly a Lambertian surface in
+    the room."""
     scene = furnished_with(
         relay_wall=Phong(0.8, 8, 0.5), box=GGX(0.9, 0.35, f0=0.5), pillar=OrenNayar(0.8, 0.6),
         floor=Phong(0.7, 30, 0.6), walls=GGX(0.8, 0.7),
@@ -281,8 +287,8 @@ def scan(
 
 
 def test_a_retroreflective_box_shines_back_at_a_confocal_scan() -> None:
-    """Exactly backwards the lobe is κ/2 / cosθ times Lambert's 1/π (κ of the half width, θ at the box): so the gain
-    is κ/2 times the mean of 1/cosθ over the box's own return, and never less than κ/2."""
+    """Exactly backwards the lobe is κ/2 / cosθ times Lambert's 1/π (κ of the half width, θ at the box): the gain is
+    κ/2 times the mean of 1/cosθ over the box's own return, and never less than κ/2."""
     points = np.array([[0, y, z] for y in (-1.0, 0.2) for z in (0.6, 1.6)])
     half_width = math.radians(2)
     kappa = math.log(2) / (1 - math.cos(half_width))

@@ -1,4 +1,4 @@
-"""Light of meshes by rays on a lattice: that of the definition, with an error that falls faster than of samples."""
+"""Light of meshes by rays on a lattice: it equals the definition, and its error falls faster than that of samples."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def in_windows(light: Floats) -> Floats:
 @pytest.mark.parametrize("material", [Lambertian(0.7), OrenNayar(0.6, 0.5), SinLobe(0.7, (0, 0, 1))], ids=str)
 @pytest.mark.parametrize(("pairing", "half_m"), [("confocal", 0.002), ("confocal", 0.1), ("exhaustive", 0.1)])
 def test_light_of_meshes_is_that_of_the_definition(pairing: str, half_m: float, material: Material) -> None:
-    """In windows of four bins, each object, within chance and half the error asked."""
+    """The light of each object in windows of four bins, within chance and half the error asked."""
     room, capture = scene(material), scan(pairing, half_m)
     found = simulate(room, capture, Accuracy(target=0.01, part_target=0.02, max_bounces=3), seed=3)
     assert found.spend.way == {"primary": "cells"} and found.met_target
@@ -90,7 +90,8 @@ def test_light_of_meshes_is_that_of_the_definition(pairing: str, half_m: float, 
 
 
 def test_a_laser_point_inside_of_a_mesh_lights_all_of_it() -> None:
-    """Where no rectangle frames the mesh, rays go into the half space: the energy of a ball about the pixel."""
+    """Where no rectangle frames the mesh, rays go into the whole half space: the energy of a ball about the pixel is
+    right."""
     ball = trimesh.creation.icosphere(3, 0.5).apply_translation((0.2, 0.0, 1.0))
     ball.update_faces(np.linalg.norm(ball.triangles_center - DEVICE, axis=1) > 1.95)
     wall = rectangle((0, 0, 1), (0, 0.3, 0), (0, 0, 0.3))
@@ -128,7 +129,8 @@ def test_the_error_falls_faster_than_that_of_samples() -> None:
 
 
 def test_where_no_rays_are_sent_elements_find_the_same() -> None:
-    """A lobe narrower than a lattice resolves is left to elements, and one just as wide gives the same light."""
+    """A lobe narrower than the lattice resolves is left to elements; a lobe just wide enough for rays gives the same
+    light."""
     capture, light = scan("confocal", 0.002), []
     for sharp in (15.5, 16.5):
         exponent = 2 * np.log(2) * sharp

@@ -1,4 +1,4 @@
-"""Replicates traced in one call are what they are one by one."""
+"""Replicates that are traced in one call equal replicates traced one by one."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ def _run(pairing: str, bounces: int | None, together: int, monkeypatch: pytest.M
 @pytest.mark.parametrize("pairing", ["confocal", "exhaustive"])
 @pytest.mark.parametrize("bounces", [3, 5, None])
 def test_together_or_one_by_one(pairing: str, bounces: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All at once, in threes (of 4 laser points and 12 lookins), and one by one; 90 lookins do not divide by 8."""
+    """All replicates at once, in threes, and one by one, of 4 laser points and 12 hidden vertices; and 90 hidden
+    vertices, which 8 does not divide."""
     apart = _run(pairing, bounces, 1, monkeypatch)
     assert apart.total[[0, 1, 3]].any(axis=(1, 2)).all() and not apart.total[2].any()
     assert apart.overflow.any()
@@ -54,7 +55,7 @@ def test_together_or_one_by_one(pairing: str, bounces: int | None, monkeypatch: 
         joint = _run(pairing, bounces, together, monkeypatch)
         scale = apart.total.max()
         np.testing.assert_allclose(joint.total, apart.total, rtol=1e-12, atol=1e-14 * scale)
-        # The spread is a difference of large numbers.
+        # The spread is a difference of large numbers, so rounding shows in it.
         np.testing.assert_allclose(joint.stderr, apart.stderr, rtol=1e-6, atol=1e-9 * scale)
         np.testing.assert_allclose(joint.overflow, apart.overflow, rtol=1e-12)
         for name, part in apart.parts.items():

@@ -1,8 +1,8 @@
 """Paths sampled where light is (`transport/sampled_paths.py`) equal the definition (`transport/reference.py`).
 
-The definition's vertices are uniform on all surfaces: no quasi-random numbers, no BRDF is drawn from, no balance of
-densities. Energies of each order, part, histogram and window of time from `RUNS` runs of either, held against
-Student's t at a family-wise level of `LEVEL` for each case.
+The definition's vertices are uniform on all surfaces: it has no quasi-random numbers, no sampling of BRDFs and no
+weighting of densities. Energies of each order, part, histogram and window of time from `RUNS` runs of both are
+compared by Student's t at a family-wise level of `LEVEL` for each case.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ def hold(scene: Scene, capture: Capture, **asked: object) -> None:
         ])  # fmt: skip
 
     plain, sampled = runs(PLAIN // len(capture.laser.targets)), runs(SAMPLED, draw=sample_paths)
-    # Of what few runs met at all, their spread tells nothing.
+    # Light that only few runs met has a spread that says nothing about its error.
     often = ((plain > 0).sum(axis=0) >= RUNS - 2) & ((sampled > 0).sum(axis=0) >= RUNS - 2)
     off = plain.mean(axis=0) - sampled.mean(axis=0)
     noise = np.hypot(plain.std(axis=0, ddof=1), sampled.std(axis=0, ddof=1)) / np.sqrt(RUNS)
     t = stats.t.isf(LEVEL / 2 / often.sum(), RUNS - 1)
-    # The direct return has no noise but rounding.
+    # The direct return has no noise, only rounding.
     allowed = t * noise + 1e-12 * plain.max()
     assert (np.abs(off) <= allowed)[often].all(), np.column_stack([plain.mean(0), sampled.mean(0), noise])[often]
     largest = int(np.argmax(sampled.mean(axis=0)))
@@ -65,7 +65,7 @@ def test_every_brdf(material: str, shape: str, capture: str) -> None:
 @pytest.mark.parametrize("origin", ["wall", "source"])
 @pytest.mark.parametrize("laser", [(0.9, 0.4, 0.0), (0.0, 0.2, 1.2)], ids=["on the floor", "in the pixel"])
 def test_in_fog_with_the_direct_return_and_five_bounces(laser: tuple[float, float, float], origin: str) -> None:
-    """Not in a corner, of whose short paths vertices that are uniform on all surfaces meet next to none."""
+    """Away from corners, whose short paths the definition's uniform vertices hardly ever meet."""
     scene = replace(furnished_box(0.8), attenuation_per_m=0.3)
     capture = one_point_capture(laser, (0, 0.2, 1.2), 0.15, bins_of_path(96, 0.25, 0.0))
     hold(scene, replace(capture, time=replace(capture.time, origin=origin)), max_bounces=5, direct=True)
@@ -77,7 +77,8 @@ def test_without_asking_what_stands_before_the_pixel() -> None:
 
 @pytest.mark.parametrize("draw", [None, sample_paths])
 def test_all_orders_in_a_white_room(draw: Callable[..., object] | None) -> None:
-    """Orders of three and more from runs without a last one are at least those of runs up to six bounces."""
+    """Orders of three and more, from runs of unlimited bounces, bring at least the light of runs up to six
+    bounces."""
     room, capture = furnished_box(0.8), one_point_capture(time=bins_of_path(96, 0.5, 0.0))
     how = {} if draw is None else {"draw": draw}
     every, some = (

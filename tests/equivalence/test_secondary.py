@@ -1,4 +1,4 @@
-"""The factorised secondary: equal to the plain double sum, to closed forms, and to the general walk."""
+"""The factorised secondary equals the plain double sum, closed forms, and path tracing."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def energies(estimates: list[Found]) -> NDArray[np.float64]:
 @pytest.mark.parametrize("strongest", [None, 1, 5])
 @pytest.mark.parametrize(("low", "bins"), [(0.0, 30), (-9.0, 30), (0.0, 12)])
 def test_the_convolution_equals_the_plain_double_sum(low: float, bins: int, strongest: int | None) -> None:
-    """Over the same half paths, in windows that hold all or cut the start or the end: energy to rounding, each bin
-    but for the pairs near an edge that the displaced grids put on its other side."""
+    """From the same half paths, in windows that hold all light or cut its start or end: the energy is the same to
+    rounding, and each bin too, apart from pairs near an edge that the displaced grids put on its other side."""
     rng = np.random.default_rng(1)
     lookins, pixels, each = 400, 3, 20
     ins = Paths(
@@ -77,7 +77,7 @@ def test_the_convolution_equals_the_plain_double_sum(low: float, bins: int, stro
     u = (rng.permutation(lookins) + 0.5) / lookins
     fast, plain = (Sums(np.zeros((pixels, bins)), np.zeros(pixels)) for _ in range(2))
     in_sub_bins = [paths._replace(position=paths.position * SUB_BINS) for paths in (ins, outs)]
-    # To the centre of a sub-bin, as the displaced grids have it.
+    # The displaced grids round times to the centres of sub-bins.
     in_sub_bins[1] = in_sub_bins[1]._replace(position=in_sub_bins[1].position - 0.5)
     convolve(*in_sub_bins, u, fast)
     double_sum(ins, outs, plain)
@@ -92,7 +92,8 @@ def test_the_convolution_equals_the_plain_double_sum(low: float, bins: int, stro
 
 @pytest.mark.parametrize("after_edge", [-0.7, -0.4, -0.1, 0.0, 0.2, 0.49, 0.6])
 def test_pairs_near_an_edge_are_shared_by_its_two_sides_linearly(after_edge: float) -> None:
-    """In sub-bins: a pair at x behind an edge is counted behind it with probability ½ + x, and not beyond 0 … 1."""
+    """In units of sub-bins, a pair at x behind an edge counts behind the edge with probability ½ + x, clipped to 0 …
+    1."""
     count, bins = 1000, 10
     edge = 6 * SUB_BINS
     u = (np.arange(count) + 0.5) / count
@@ -107,7 +108,7 @@ def test_pairs_near_an_edge_are_shared_by_its_two_sides_linearly(after_edge: flo
 
 
 def scan(bins: int, width_m: float, origin: str = "wall") -> Capture:
-    """Two laser points and three pixels, one pixel partly in the shadow of nothing in particular."""
+    """Two laser points and three pixels, one of them partly in shadow."""
     pixels = square_pixels([(0, 0.4, 1.2), (0, -0.3, 0.8), (0, 1.1, 2.0)], 0.2)
     return Capture(
         Laser(DEVICE, [(0, -0.8, 1.4), (0, 1.0, 0.3)]),
@@ -127,14 +128,15 @@ def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
 
 @pytest.mark.parametrize("albedo", [0.3, pytest.param(1.0, marks=pytest.mark.nightly)])
 def test_inside_of_a_sphere_energy(albedo: float) -> None:
-    """L = ρ⁴/π · A Ω / (4π r²)."""
+    """The energy of the secondary in a sphere is L = ρ⁴/π · A Ω / (4π r²)."""
     scene, capture, expected = in_a_ball(albedo)
     estimate = secondary_of(scene, capture, lookins=8192, observed=64, replicates=2)
     assert estimate.mean.sum() + estimate.overflow.sum() == pytest.approx(expected, rel=1e-3)
 
 
 def test_inside_of_a_sphere_shape() -> None:
-    """Three chords through uniform points, by bin: 16 runs, Student's t, family-wise level 10⁻³ over the bins."""
+    """Arrival times are distributed as three chords between uniform points: 16 runs, Student's t, family-wise level
+    10⁻³ over the bins."""
     scene, capture, expected = in_a_ball(0.8)
     runs = np.array([secondary_of(scene, capture, lookins=512, seed=s).mean[0, 0] for s in range(16)])
     truth, truth_error = (expected * values[:60] for values in stored().of(4))
@@ -147,7 +149,8 @@ def test_inside_of_a_sphere_shape() -> None:
 
 @pytest.mark.parametrize("place", PLACES)
 def test_agrees_with_the_walk(place: str) -> None:
-    """8 runs of each: energy and every filled bin, Student's t with 7 degrees at least, family-wise level 10⁻³."""
+    """8 runs of each way: energy and every filled bin agree by Student's t with at least 7 degrees, family-wise level
+    10⁻³."""
     runs = [secondary_of(furnished_box(), PLACES[place], lookins=1024, seed=s).mean[0, 0] for s in range(8)]
     ours, walk = coarse(np.array(runs)), secondary_by_walk.stored(place)
     worst, limit, error = compared(ours, walk)
@@ -163,7 +166,8 @@ def test_the_stored_walks_are_those_of_other_seeds(place: str) -> None:
 
 
 def compared(ours: NDArray[np.float64], walk: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Largest t over the filled bins and the sum, what it may be at 10⁻³ over all of them, and the sum's error."""
+    """Largest t over the filled bins and the sum, the t allowed at 10⁻³ over all of them, and the standard error of
+    the sum."""
     error = np.sqrt(ours.var(axis=0, ddof=1) / len(ours) + walk.var(axis=0, ddof=1) / len(walk))
     filled = walk.mean(axis=0) > 3e-3 * walk.mean(axis=0)[:-1].max()
     t = np.abs(ours.mean(axis=0) - walk.mean(axis=0))[filled] / error[filled]
@@ -171,7 +175,8 @@ def compared(ours: NDArray[np.float64], walk: NDArray[np.float64]) -> tuple[floa
 
 
 def test_one_sample_is_unbiased_and_bounded() -> None:
-    """1 lookin, 1 observed point, 1 FoV point, laser point 1 mm from a corner: no sample rules the mean."""
+    """One hidden vertex, one second hidden vertex, one FoV point, laser point 1 mm from a corner: no sample dominates
+    the mean."""
     scene, capture = furnished_box(), PLACES["1 mm from two walls"]
     truth = energies([secondary_of(scene, capture, lookins=1 << 13, seed=9)])[0]
     ones = energies([secondary_of(scene, capture, lookins=1, observed=1, fov_samples=1, seed=s) for s in range(300)])
@@ -180,7 +185,8 @@ def test_one_sample_is_unbiased_and_bounded() -> None:
 
 
 def test_lookins_in_the_laser_point_s_shadow_are_found() -> None:
-    """A plate that a screen hides from the laser point but not from the FoV: the paper's placement never finds it."""
+    """A screen hides a plate from the laser point but not from the field of view: the paper's placement never finds
+    that plate."""
     box = furnished_box()
     parts = [
         Part(name, trimesh.Trimesh(box.vertices, box.triangles[box.faces_of(name)], process=False), Lambertian(0.8))
@@ -200,7 +206,7 @@ def test_lookins_in_the_laser_point_s_shadow_are_found() -> None:
 
 
 def test_more_of_the_strongest_paths_keep_more_energy() -> None:
-    """k = 1, 4, 16 … of 64: energy rises to that of all; Ñ of them are all of them."""
+    """With k = 1, 4, 16 … of 64 paths kept, the energy rises to that of all paths; Ñ of them are all."""
     scene, capture = furnished_box(), one_point_capture()
     kept = [secondary_of(scene, capture, strongest=k).mean.sum() for k in (1, 4, 16, 63, 64, 1000)]
     assert kept == sorted(kept)
@@ -221,7 +227,8 @@ def test_confocal_scan_gives_what_each_point_gives_alone() -> None:
 
 
 def test_lookins_by_part_add_up_and_other_materials_are_refused() -> None:
-    """Parts that carry lookins partition the light; one that does not factorise has to be left out by name."""
+    """The parts that carry hidden vertices divide the light among them; a part that does not factorise has to be left
+    out by name."""
     scene, capture = furnished_box(), one_point_capture()
     everything = secondary_of(scene, capture).mean.sum()
     some = np.arange(6) % 2 == 0
@@ -240,7 +247,8 @@ def test_lookins_by_part_add_up_and_other_materials_are_refused() -> None:
 
 
 def test_observed_points_and_fov_may_have_any_brdf() -> None:
-    """Glossy pillar, box and relay wall: lookins on Lambertian parts against the walk restricted to them."""
+    """Glossy pillar, box and relay wall: hidden vertices on Lambertian parts agree with path tracing restricted to
+    these."""
     base = furnished_box()
     glossy = {"relay_wall", "box", "pillar"}
     parts = [
@@ -261,7 +269,8 @@ def test_observed_points_and_fov_may_have_any_brdf() -> None:
 
 
 def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Energies of 8 plain random walks x₁ → o → b, b on a carrier, joined to one random FoV point: brute force."""
+    """Energies of 8 plain random walks x₁ → o → b, with b on a carrier, connected to one random FoV point: brute
+    force."""
     caster, cones = Raycaster(scene), PixelCones.of(capture.sensor)
     materials, points = MaterialTable.of(scene.materials), LaserPoints.of(caster, scene, capture.laser)
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(caster.corners), np.bool_))
@@ -289,7 +298,7 @@ def walk_by_third_vertex(scene: Scene, capture: Capture, carriers: NDArray[np.bo
 
 
 def test_attenuation_dims_each_bin_by_its_path() -> None:
-    """exp(−a path) with the same samples: time origin `source`, so a bin is a path length."""
+    """With the same samples and the time origin at the source each bin is one path length, dimmed by exp(−a path)."""
     clear, capture = furnished_box(), scan(800, 0.025, "source")
     hazy = Scene(**{**clear.__dict__, "attenuation_per_m": 0.2})
     estimates = [secondary_of(scene, capture).mean for scene in (clear, hazy)]
@@ -311,7 +320,7 @@ def test_standard_error_is_that_of_repeated_runs() -> None:
 
 
 def test_nothing_to_see_is_zero() -> None:
-    """A bare wall; a laser ray and a pixel that meet nothing; black walls."""
+    """A bare wall, a laser ray and a pixel that meet nothing, and black walls give zeros."""
     wall = Scene.from_parts([Part("wall", rectangle((0, 0, 1), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")])
     away = Capture(
         Laser(DEVICE, [(0, 0, 1), (9, 9, 9), (0, 1, 1)]),

@@ -1,7 +1,8 @@
-"""The secondary from pairs of cells: that of the walk, of a sphere in closed form, and the laws that both obey.
+"""The secondary by quadrature over pairs of elements equals path tracing and a sphere's closed form, and obeys the
+laws of both.
 
-Against the walk: its mean over `RUNS` seeds, Student's t at 10⁻³ over all numbers compared, and the error that was
-asked of the cells on top.
+The mean of path tracing over `RUNS` seeds is compared by Student's t at 10⁻³ over all numbers, with the error asked
+of quadrature allowed on top.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ RUNS, LEVEL, OWN = 8, 1e-3, 0.04
 DEVICE = (1.5, 0.1, 1.3)
 TIME = bins_of_path(160, 0.1, 0.0)
 COARSE = 16
-"""Bins that are added up, so that each holds many paths and its spread is near normal."""
+"""Number of bins added up into one, so that each sum holds many paths and its spread is nearly normal."""
 SPOTS = np.array([[0, -0.9, 0.6], [0, 0.3, 1.7], [0, 0.9, 1.1]])
 
 
@@ -44,7 +45,8 @@ def of_cells(scene: Scene, capture: Capture, own: float = OWN, occlusion: str = 
 
 
 def numbers(light: NDArray[np.float64], overflow: NDArray[np.float64]) -> NDArray[np.float64]:
-    """All energy, that outside the window, of each laser point and pixel, and by coarse bins of time."""
+    """All energy, the energy outside the window, that of each laser point and pixel, and that of coarse bins of
+    time."""
     by_time = light.sum(axis=(0, 1)).reshape(-1, COARSE).sum(axis=1)
     return np.concatenate([[light.sum()], (light.sum(axis=2) + overflow).ravel(), by_time])
 
@@ -58,7 +60,8 @@ def scan(
 
 
 def with_meshes(times: int = 0) -> Scene:
-    """The box with a ball of 1280 triangles and a ring of 2304, that stand free, each cut into four so many times."""
+    """The box with a free-standing ball of 1280 triangles and ring of 2304, each triangle cut into four so many
+    times."""
     room = furnished_box()
     ball = trimesh.creation.icosphere(3, radius=0.3)
     ball.apply_translation((1.2, 0.5, 0.9))
@@ -119,7 +122,7 @@ def in_the_ball(albedo: float) -> tuple[Scene, Capture, float]:
 
 @pytest.mark.parametrize("albedo", [0.3, pytest.param(1.0, marks=pytest.mark.nightly)])
 def test_in_a_sphere_each_bounce_multiplies_by_the_albedo(albedo: float) -> None:
-    """ρ times the primary's ρ³/π · A Ω/(4π r²); each bounce falls anywhere on the sphere alike."""
+    """The energy is ρ times the primary's ρ³/π · A Ω/(4π r²), because each bounce is uniform on the sphere."""
     scene, capture, primary = in_the_ball(albedo)
     found = of_cells(scene, capture, own=0.02)
     light = found.histogram[0, 0]
@@ -144,13 +147,13 @@ def test_errors_fall_from_level_to_level_as_two_of_them_foretell() -> None:
     assert errors[0] < 0.1
     assert errors[4] < 0.3 * errors[0]
     for k in range(1, 4):
-        # What two levels say of the coarser one, against the finest of all.
-        assert errors[k - 1] < four_bounces._still(runs[: k + 1])[-1] / norm
+        # The error estimated from two levels is at least that against the finest level of all.
+        assert errors[k - 1] < four_bounces._errors_of(runs[: k + 1])[-1] / norm
 
 
 def test_small_triangles_are_taken_together() -> None:
-    """Meshes whose triangles are each cut into sixteen take no more pairs of cells, and give the same light but for
-    what chance makes of which triangles stand for the others."""
+    """Meshes whose triangles are each cut into sixteen take no more pairs of elements and give the same light, apart
+    from the random choice of triangles that stand for the others."""
     found, capture = [], scan("exhaustive", 5e-4)
     for times in (0, 2):
         task = prepared(with_meshes(times), capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
@@ -165,8 +168,8 @@ def test_small_triangles_are_taken_together() -> None:
 
 
 def test_a_walk_costs_about_what_is_forecast() -> None:
-    """By a first round, a walk for the secondary to 5 % costs what one takes that meets it, within a factor of four:
-    the rounds are powers of two, and a first round knows the variance to some ten per cent."""
+    """Path tracing of the secondary to 5 % costs what a first round forecasts, within a factor of four: sizes of
+    rounds are powers of two, and a first round knows the variance to some ten per cent."""
     asked = Accuracy(target=0.05, max_bounces=4)
     task = prepared(with_meshes(), scan("exhaustive", 5e-4), asked, 0, split_parts=False)
     alone = replace(task, tally_rows=replace(task.tally_rows, components=("secondary",), parts=()))
@@ -189,7 +192,7 @@ def ball_at(place: tuple[float, float, float], radius: float) -> trimesh.Trimesh
 
 
 def truth_of(scene: Scene, capture: Capture) -> tuple[float, float]:
-    """Energy of the secondary by the reference, and what chance allows it to be off at `LEVEL`."""
+    """Energy of the secondary by the reference, and its largest error by chance at `LEVEL`."""
     runs = [
         reference(scene, capture, samples=1 << 12, replicates=1, max_bounces=4, seed=seed, draw=sample_paths)
         .components["secondary"].sum()
@@ -199,8 +202,8 @@ def truth_of(scene: Scene, capture: Capture) -> tuple[float, float]:
 
 
 def test_in_the_open_what_is_small_beside_the_sky_is_cut_too() -> None:
-    """Three objects in the open that catch 4 in 1000 of the light: none of two that are one cluster each, and give
-    each other nothing as such, until cells are as fine as what is caught asks."""
+    """Three objects in the open catch 4 in 1000 of the light. Two of them would each be one cluster, which give each
+    other no light, unless elements are as fine as the light that is caught requires."""
     foreign = foreign_scene(43)
     true, chance = truth_of(foreign.scene, foreign.capture)
     found = of_cells(foreign.scene, foreign.capture, own=0.3)
@@ -209,8 +212,8 @@ def test_in_the_open_what_is_small_beside_the_sky_is_cut_too() -> None:
 
 
 def test_what_touches_is_claimed_as_far_as_it_is_not_known() -> None:
-    """A ball of 5120 triangles, far from the wall a few clusters: what it gives to a floor that it stands on is
-    claimed as unknown however many levels agree, and high above the floor is not."""
+    """A ball of 5120 triangles, far from the wall, is a few clusters. The light that it gives to a floor on which it
+    stands is claimed as unknown however many levels agree; high above the floor it is not."""
     floor = trimesh.Trimesh([(0, -1.5, 0), (2.5, -1.5, 0), (2.5, 1.5, 0), (0, 1.5, 0)], [(0, 1, 2), (0, 2, 3)])
     for height, low, high in ((0.13, 0.1, 0.3), (1.5, 0.0, 0.06)):
         ball = Part("ball", ball_at((2.0, 0.9, height), 0.13), Lambertian(0.8))
@@ -220,8 +223,8 @@ def test_what_touches_is_claimed_as_far_as_it_is_not_known() -> None:
 
 
 def test_pairs_looked_at_in_vain_are_paid_for() -> None:
-    """A lobe of a third of a degree is searched for in millions of pairs that bring nothing: they count, and the
-    search ends where it is too dear."""
+    """A lobe of a third of a degree is searched for in millions of pairs that bring no light: these pairs count as
+    cost, and the search ends where it is too dear."""
     floor = trimesh.Trimesh([(0, -1.5, 0), (2.5, -1.5, 0), (2.5, 1.5, 0), (0, 1.5, 0)], [(0, 1, 2), (0, 2, 3)])
     ball = trimesh.creation.icosphere(2, radius=0.3).apply_translation((1.2, 0.2, 0.8))
     scene = wall_and(
@@ -242,7 +245,7 @@ def test_pairs_looked_at_in_vain_are_paid_for() -> None:
 
 
 def test_light_goes_either_way() -> None:
-    """Reciprocity: laser point and pixel change places, and each divides by what its pixel is worth."""
+    """Reciprocity: laser point and pixel change places, and each energy is divided by the gain of its pixel."""
     a, b, h = SPOTS[0], SPOTS[2], 5e-4
     found = []
     for laser, pixel in ((a, b), (b, a)):
@@ -256,8 +259,8 @@ def test_light_goes_either_way() -> None:
 
 
 def test_confocal_halves_are_the_whole() -> None:
-    """A laser point that is its own pixel takes each pair of cells once; with the sensor elsewhere, or another
-    capture's pairing, both ends are cut, and the light is the same."""
+    """Where a laser point is its own pixel each pair of elements is computed once. With the sensor elsewhere, or with
+    another pairing, both ends have elements of their own, and the light is the same."""
     confocal, alone = scan("confocal", 5e-4), []
     together = of_cells(furnished_box(), confocal, own=0.03)
     for k, spot in enumerate(SPOTS):
@@ -282,7 +285,7 @@ def test_a_target_takes_cells_for_both_and_repeats_to_the_byte() -> None:
 
 
 def test_glossy_surfaces_are_reciprocal_too() -> None:
-    """A wide GGX lobe on one part: the walk's total, within its scatter and the error asked."""
+    """With a wide GGX lobe on one part, the total is that of path tracing, within its scatter and the error asked."""
     scene = furnished_box()
     glossy = replace(scene, materials=(*scene.materials[:-1], GGX(0.6, 0.7)))
     capture = scan("exhaustive", 5e-4)

@@ -1,4 +1,5 @@
-"""The secondary by the walk and by the factorised form is the same light, and the choices mean what they say."""
+"""The secondary by path tracing and by the factorised form is the same light, and the options select what they
+say."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ AXIS = bins_of_path(40, 0.5, 0.0)
 
 
 def test_walk_and_factorised_form_agree_by_bin() -> None:
-    """Two estimators that share rays only: Student's t over the bins at 10⁻³ (8 replicates each)."""
+    """Two estimators that share only the ray caster: Student's t over the bins at 10⁻³ (8 replicates each)."""
     scene, capture = furnished_box(0.8), one_point_capture(time=AXIS)
     walk = simulate(scene, capture, Accuracy(1 << 15, 8, 4, 8), seed=1)
     factorised = simulate(scene, capture, Accuracy(1 << 11, 16, 4, 8, observed=256), seed=2)

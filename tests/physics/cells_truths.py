@@ -1,6 +1,6 @@
-"""Scenes of the ready configurations with a few laser points, and their primary to an eighth of what is asked.
+"""True primaries, computed to an eighth of the target, for a few laser points of scenes of the ready configurations.
 
-`python tests/physics/cells_truths.py` computes `data/cells_truths.npz` anew, the truths of the daily test (a minute).
+`python tests/physics/cells_truths.py` computes `data/cells_truths.npz` anew (a minute): the truths of the daily test.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Light = dict[str, np.ndarray]
 
 
 def scenes(names: list[str], count: int) -> Iterator[tuple[Scene, Capture]]:
-    """With every laser point of a scan but those of a step."""
+    """Generated scenes of the named configurations in turn, each with `LASERS` random laser points of its scan."""
     for case in range(count):
         config = load_config(CONFIGS / f"{names[case % len(names)]}.yaml")
         try:
@@ -40,12 +40,13 @@ def scenes(names: list[str], count: int) -> Iterator[tuple[Scene, Capture]]:
 
 
 def held_points(capture: Capture) -> np.ndarray:
-    """The laser points whose truth is known."""
+    """The indices of the laser points whose truth is known."""
     return np.arange(0, capture.shape[0], max(capture.shape[0] // HELD, 1))
 
 
 def truth(scene: Scene, capture: Capture, target: float, seed: int) -> Light:
-    """At the held laser points, to an eighth of the target; as stored, if it was stored for just these."""
+    """The primary at those laser points, to an eighth of the target; the stored one if it belongs to just this
+    scene."""
     of = _numbers(scene, capture, target)
     for k in range(DAILY_COUNT):
         if f"{k}/of" in _stored() and _alike(_stored()[f"{k}/of"], of):
@@ -68,7 +69,7 @@ def _stored() -> Light:
 
 
 def _numbers(scene: Scene, capture: Capture, target: float) -> np.ndarray:
-    """What the light of a scene depends on."""
+    """All numbers that the light of a scene depends on, to recognise a stored truth by."""
     table, time, sensor = MaterialTable.of(scene.materials), capture.time, capture.sensor
     return np.concatenate([
         scene.vertices.ravel(), scene.triangles.ravel(), scene.face_part, table.kind, table.values.ravel(),
@@ -78,7 +79,7 @@ def _numbers(scene: Scene, capture: Capture, target: float) -> np.ndarray:
 
 
 def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    # Another processor may round a rotation otherwise.
+    # Processors round differently, for instance in a rotation.
     return one.shape == other.shape and np.allclose(one, other, rtol=1e-9, atol=1e-9)
 
 

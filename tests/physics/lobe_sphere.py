@@ -1,4 +1,4 @@
-"""All directions in cells that are fine where a material's lobe is, and the compiled BRDFs along many of them."""
+"""Cells that cover all directions and are fine where a material's lobe is; the compiled BRDFs at many directions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NORMAL = np.array([-0.6, 0.64, -0.48])
 RINGS, TURNS = 600, 360
 GROUPS = 12
 EVEN = 1e6
-"""A crowding so weak that sectors are even."""
+"""Value of `crowd` that is so large that sectors are even."""
 
 
 @njit(cache=True)
@@ -112,7 +112,7 @@ class Sphere:
         return cls(n, t, np.cross(n, t), edges, alpha * max(cosine, alpha) / sine**2)
 
     def directions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Middles of the cells (rings · TURNS, 3) and their solid angles (rings, TURNS)."""
+        """Centres of the cells (rings · TURNS, 3) and their solid angles (rings, TURNS)."""
         x = (self.edges[:-1] + self.edges[1:]) / 2
         phi = self._azimuth((np.arange(TURNS) + 0.5) / TURNS * 2 * np.pi - np.pi)
         width = np.diff(self._azimuth(np.arange(TURNS + 1) / TURNS * 2 * np.pi - np.pi))
@@ -124,7 +124,7 @@ class Sphere:
         return np.sign(psi) * self.crowd * np.expm1(np.abs(psi) / np.pi * np.log1p(np.pi / self.crowd))
 
     def counts(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How many of the directions (n, 3) lie in each of GROUPS × GROUPS groups of cells."""
+        """Numbers of the directions (n, 3) that lie in each of GROUPS × GROUPS groups of cells."""
         phi = np.arctan2(w @ self.b, w @ self.t)
         psi = np.sign(phi) * np.pi * np.log1p(np.abs(phi) / self.crowd) / np.log1p(np.pi / self.crowd)
         # |difference|²/2 keeps the digits of a small angle that 1 − cos would lose.
@@ -135,7 +135,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Integrals:
-    """Over all directions: ∫ f cosθ_out dω, and ∫ pdf dω in GROUPS × GROUPS groups of a sphere's cells."""
+    """Integrals over all directions: ∫ f cosθ_out dω, and ∫ pdf dω in GROUPS × GROUPS groups of a sphere's cells."""
 
     power: float
     mass: NDArray[np.float64]
@@ -146,7 +146,7 @@ class Integrals:
 def integrals(
     material: Material, incoming: tuple[float, ...], normal: tuple[float, ...] = tuple(NORMAL)
 ) -> Integrals:
-    """Of a material of this normal, lit from the direction `incoming`."""
+    """The integrals for a material with this normal, lit from the direction `incoming`."""
     w_in, n = np.array(incoming), np.array(normal)
     sphere = Sphere.about_lobe(material, w_in, RINGS, n)
     w_out, area = sphere.directions()
@@ -156,7 +156,7 @@ def integrals(
 
 
 def width_of(material: Material) -> float:
-    """1 − cos of an angle well inside the lobe: a scale to lay out directions by."""
+    """1 − cos of an angle well inside the lobe: the scale on which cells are laid out."""
     match material:
         case Phong():
             return 0.5 / (material.exponent + 1)

@@ -22,7 +22,8 @@ SPOT = np.array([1.0, 0.1, 0.2])
 
 
 class Chords(NamedTuple):
-    """Shares of each order's energy by bin (4, BINS), those of paths too long left out, and their standard errors."""
+    """Fractions of each order's energy by bin (4, BINS), without paths that are too long, and their standard
+    errors."""
 
     share: NDArray[np.float64]
     error: NDArray[np.float64]
@@ -32,7 +33,8 @@ class Chords(NamedTuple):
 
 
 def chords(chunks: int, chains: int, seed: int) -> Chords:
-    """From `chunks` independent sets of `chains` chains each; their spread is the error."""
+    """The fractions from `chunks` independent sets of `chains` chains each; the standard error is from their
+    spread."""
     rng = np.random.default_rng(seed)
     found = np.array([_shares(rng, chains) for _ in range(chunks)])
     return Chords(found.mean(axis=0), found.std(axis=0, ddof=1) / np.sqrt(chunks))

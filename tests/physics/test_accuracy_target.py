@@ -1,4 +1,5 @@
-"""A transient with an accuracy target: within it, at a fair cost, the same light, and always an end."""
+"""Simulating to an accuracy target: the error is within the target, the cost is fair, the light is right, it always
+ends."""
 
 from __future__ import annotations
 
@@ -24,16 +25,19 @@ DEVICE = np.array([2.0, 0.0, 1.2])
 LEVEL = 1e-3
 """Probability that a test fails by chance."""
 RUNS = 16
-"""Runs that hold a promise of 95 %: more than 4 of 16 break it, which half of all would do in 96 % of tests."""
+"""Number of runs that test a promise of 95 %. A test fails if more than 4 of 16 miss, as 96 % of tests would if each
+run missed half of the time."""
 
 
 def beyond_at_most(runs: int) -> float:
-    """How many of some runs may miss an error that each keeps with a probability of 95 %, at 3·10⁻³."""
+    """The largest number of `runs` that may miss an error which each keeps with a probability of 95 %, at a level of
+    3·10⁻³."""
     return float(stats.binom.isf(3e-3, runs, 0.05))
 
 
 def beyond(runs: list[Transient], target: float) -> int:
-    """How many runs are farther from the mean of the others than the target, and that mean's own error, allow."""
+    """The number of runs that differ from the mean of the others by more than the target and that mean's own error
+    allow."""
     total = np.array([run.total.ravel() for run in runs])
     others = (total.sum(axis=0) - total) / (len(runs) - 1)
     errors = np.linalg.norm(total - others, axis=1) / np.linalg.norm(others, axis=1)
@@ -42,7 +46,7 @@ def beyond(runs: list[Transient], target: float) -> int:
 
 @pytest.fixture(scope="module")
 def runs() -> list[Transient]:
-    """A furnished room, five bounces, to 5 %, with 16 seeds."""
+    """Sixteen runs, with different seeds, of a furnished room with five bounces to 5 %."""
     accuracy = Accuracy(max_bounces=5, target=0.05)
     return [simulate(furnished_box(0.7), one_point_capture(time=AXIS), accuracy, seed=s) for s in range(RUNS)]
 
@@ -58,8 +62,8 @@ def met(runs: list[Transient]) -> Transient:
     ids=["daily", "more"],
 )
 def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int, ...]) -> None:
-    """The bench on some cheap cases: within their targets as often as promised, and none off by more than twice. What
-    they cost is fair at 5 %; looser targets cost what the coarsest cells do."""
+    """Some cheap cases of `datagen bench`: errors are within their targets as often as promised, and none is more
+    than twice its target. The cost is fair at 5 %; looser targets cost as much as the coarsest elements."""
     found = list(outcomes(scenes, targets=(0.1, 0.05), cost=8e6))
     assert len(found) >= 6
     assert sum(not one.within for one in found) <= beyond_at_most(len(found))
@@ -70,7 +74,8 @@ def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int
 
 
 def test_fixed_counts_of_half_the_error_cost_two_to_eight_times_as_much() -> None:
-    """Four times for independent samples, less for quasi-random ones; costs are read off between runs."""
+    """Half the error costs four times as much with independent samples, less with quasi-random ones; costs are
+    interpolated between runs."""
     truth = float(np.linalg.norm(simulate(furnished_box(0.7), one_point_capture(), Accuracy(1 << 15, 4, 3, 8)).total))
     targets = [0.2, 0.1, 0.05]
     costs = fixed_counts_costs(furnished_box(0.7), one_point_capture(), Accuracy(max_bounces=3), targets, truth, 1)
@@ -88,14 +93,15 @@ def test_same_arguments_and_seed_give_the_same_bytes(met: Transient) -> None:
 
 
 def energies(run: Transient) -> dict[str, float]:
-    """Of every component, part and what is outside the window."""
+    """The energies of every component, of every part, and of the light outside the window."""
     found = {**run.components, **run.parts, "overflow": run.overflow}
     return {name: float(values.sum()) for name, values in found.items()}
 
 
 def test_it_is_the_light_that_fixed_counts_find(runs: list[Transient]) -> None:
-    """16 runs to a target against 4 with fixed counts: the transient within the target as often as promised, and the
-    mean energy of each component and part the same, by Student's t at 10⁻³ over all of them; total to 1 %."""
+    """16 runs to a target are compared with 4 runs of fixed counts. The transient is within the target as often as
+    promised; the mean energies of components and parts agree by Student's t at 10⁻³ over all of them, the total to 1
+    %."""
     capture = one_point_capture(time=AXIS)
     fixed = [simulate(furnished_box(0.7), capture, Accuracy(1 << 13, 8, 5, 8), seed=100 + s) for s in range(4)]
     assert list(runs[0].components) == list(fixed[0].components)
@@ -108,7 +114,7 @@ def test_it_is_the_light_that_fixed_counts_find(runs: list[Transient]) -> None:
     for name in lit:
         pair = [np.array([one[name] for one in group]) for group in (ours, theirs)]
         noise = np.hypot(*[stats.sem(values) for values in pair])
-        # The primary and what is in it have no noise but an error of their own, of which cells may make 0.4.
+        # The primary and its parts have no noise, but an error of quadrature that may be 0.4 of the one asked.
         bias = 0.0 if name in ("secondary", "higher") else 0.4 * 0.05 * pair[1].mean()
         allowed = stats.t.isf(LEVEL / len(lit) / 2, len(fixed) - 1) * noise + bias
         assert abs(pair[0].mean() - pair[1].mean()) <= allowed, name
@@ -155,7 +161,8 @@ def test_it_gives_up_before_max_lookins_and_says_so() -> None:
 
 
 def test_nothing_visible_ends_with_zero() -> None:
-    """A bare wall lights nothing that it sees; and a laser that misses everything."""
+    """A bare wall sends no light to itself, and a laser that misses everything lights nothing: the transient is
+    zero."""
     wall = Scene.from_parts([Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8))])
     sensor = Sensor(DEVICE, square_pixels([[0, 0.3, 1.0]], 0.1))
     dark = simulate(wall, Capture(Laser(DEVICE, [[0, -0.3, 1]]), sensor, AXIS), Accuracy(max_bounces=4, target=0.05))
@@ -169,7 +176,8 @@ def test_nothing_visible_ends_with_zero() -> None:
 
 @pytest.mark.parametrize("count", [RUNS // 2, pytest.param(RUNS, marks=pytest.mark.nightly)], ids=["daily", "more"])
 def test_touching_surfaces_come_to_an_end(count: int) -> None:
-    """A plate that touches the wall inside the field of view: the brightest paths are the shortest."""
+    """A plate touches the wall inside the field of view, so that the brightest paths are the shortest: the run still
+    ends."""
     plate = rectangle((0.3, 0.5, 1), (0.3, 0, 0), (0, 0, 0.5))
     wall = rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1))
     scene = Scene.from_parts([Part("wall", wall, Lambertian(0.8)), Part("plate", plate, Lambertian(0.8))])
@@ -191,9 +199,9 @@ def test_counts_beside_a_target_are_refused_in_one_line(kwargs: dict) -> None:
 
 
 def test_bound_holds_as_often_as_it_says() -> None:
-    """Gaussian replicates of known covariance, flat and dominated by few directions: the squared error of the mean
-    exceeds its bound in 2.5 % of the trials, and in less than 5 % where ν is estimated too (by the sketch, from 8 of
-    them); 1000 trials, at 10⁻³ for each spectrum."""
+    """Gaussian replicates of known covariance, flat or dominated by few directions: the squared error of the mean
+    exceeds its bound in 2.5 % of 1000 trials, and in less than 5 % if ν is estimated by the sketch from 8 replicates;
+    at 10⁻³ for each spectrum."""
     rng = np.random.default_rng(3)
     trials, replicates = 1000, 8
     for spectrum in (np.ones(40), np.array([4.0, 1.0, 1.0, *[0.05] * 30])):
@@ -235,7 +243,7 @@ def test_outcomes_beyond_their_target_are_counted() -> None:
 
 
 def foot_of_a_wall(half_side_m: float) -> Capture:
-    """A pixel whose one side is the edge between the relay wall and another."""
+    """A scene and a capture whose pixel has one side on the edge between the relay wall and another wall."""
     pixel = square_pixels([[0, -1.5 + half_side_m, 1.2]], half_side_m)
     eye = one_point_capture((0, 0.3, 1.2))
     return Capture(eye.laser, Sensor(eye.sensor.position, pixel), bins_of_path(64, 0.5, 0.0))
@@ -249,9 +257,9 @@ def held_at_the_foot(half_side_m: float) -> list[Transient]:
 
 @pytest.mark.parametrize("half_side_m", [pytest.param(0.001, marks=pytest.mark.nightly), 0.025])
 def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m: float) -> None:
-    """Half of what such a pixel sees is the other wall's nearest centimetres, where walks seldom are: their scatter
-    says nothing of the light they miss. The secondary of runs to 5 % is within that as often as promised; that of
-    fixed counts has the mean of the factorised form, by Student's t at 10⁻³, and is known to 2 %."""
+    """Half of what such a pixel sees is the nearest few centimetres of the other wall, where path tracing seldom gets
+    and its scatter does not show the missing light. The secondary of runs to 5 % is within that as often as promised;
+    that of fixed counts agrees with the factorised form by Student's t at 10⁻³, and is known to 2 %."""
     room, capture = furnished_box(), foot_of_a_wall(half_side_m)
     truth = simulate(room, capture, Accuracy(1 << 15, 4, 4, 8, observed=64), seed=5)
     wanted = float(truth.components["secondary"].sum())
@@ -259,7 +267,7 @@ def test_a_pixel_at_the_foot_of_a_wall_gets_the_light_from_beside_it(half_side_m
     assert (np.abs(held - wanted) > 0.05 * wanted).sum() <= beyond_at_most(RUNS)
     fixed = [simulate(room, capture, Accuracy(4096, 4, 4, 8), seed=s).components["secondary"].sum() for s in range(8)]
     assert stats.sem(fixed) < 0.02 * wanted
-    # The truth's own error is well under a per cent.
+    # The error of the truth itself is well under a per cent.
     allowed = stats.t.isf(LEVEL / 2, 7) * stats.sem(fixed) + 0.01 * wanted
     assert np.mean(fixed) == pytest.approx(wanted, abs=allowed)
 
@@ -269,8 +277,9 @@ def test_a_pixel_at_the_foot_of_a_wall_keeps_the_promise_in_all_its_light() -> N
 
 
 def test_light_whose_square_is_too_small_for_a_number_is_no_error() -> None:
-    """A plate 21° beside the device, before a wall that sends light straight back, at both ends of the path: e⁻⁴⁰⁰ of
-    the light, all there is."""
+    """A plate 21° beside the device, before a wall with a retroreflecting lobe at both ends of the path, returns
+    e⁻⁴⁰⁰ of the light, and no other light arrives. The square of that is 0 in floating point and must not divide
+    anything."""
     wall = trimesh.Trimesh([(0, -1.5, 0), (0, 1.5, 0), (0, 1.5, 2), (0, -1.5, 2)], [(0, 1, 2), (0, 2, 3)])
     plate = trimesh.creation.box(bounds=[(1.5, 0.5, 0.9), (1.52, 0.7, 1.1)])
     scene = Scene.from_parts([

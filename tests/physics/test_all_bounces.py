@@ -28,7 +28,7 @@ def ball(subdivisions: int) -> trimesh.Trimesh:
 
 
 def in_the_ball(albedo: float, subdivisions: int = 5) -> tuple[Scene, Capture, float]:
-    """Scene, capture, and the energy L = ρ³/π · A Ω / (4π r²) of the primary."""
+    """Scene, capture, and the energy of the primary, L = ρ³/π · A Ω / (4π r²)."""
     scene = Scene.from_parts([Part("sphere", ball(subdivisions), Lambertian(albedo), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
     omega = PixelCones.of(capture.sensor).solid_angle[0]
@@ -48,10 +48,11 @@ def test_sphere_energy_for_three_to_six_bounces(albedo: float) -> None:
 
 
 def test_sphere_shape_for_three_to_six_bounces() -> None:
-    """The transient of b bounces is the distribution of b − 1 chords through uniform points: t² by bin and order.
+    """The arrival times of b bounces are distributed as the length of b − 1 chords between uniform points: compared
+    by t² of each bin and order.
 
-    16 independent runs, of as many laser points at one place, give each bin's error; truth by 16 million chains of
-    uniform points. Level 10⁻³ over 4 orders.
+    The mean and the error of each bin come from 16 independent runs with several laser points at one place; the truth
+    from 16 million chains of uniform points. The level is 10⁻³ over 4 orders.
     """
     scene, capture, primary = in_the_ball(0.8, subdivisions=6)
     laser, sensor = Laser((0, 0, 0.0), [SPOT] * 16), Sensor((0, 0, 0.0), np.repeat(QUAD, 16, axis=0))
@@ -77,7 +78,8 @@ def test_sphere_shape_for_three_to_six_bounces() -> None:
 
 @pytest.mark.nightly
 def test_the_stored_chords_are_those_of_other_chains() -> None:
-    """16 sets of other chains against the 32 stored: Welch's t by bin, at 10⁻³ over all orders and bins."""
+    """16 sets of other chains agree with the 32 stored sets by Welch's t for each bin, at 10⁻³ over all orders and
+    bins."""
     kept, anew = stored(), chords(16, 250_000, 2)
     filled = kept.share > 1e-3 * kept.share.max(axis=1, keepdims=True)
     t = np.abs(anew.share - kept.share)[filled] / np.hypot(anew.error, kept.error)[filled]
@@ -105,7 +107,8 @@ def test_components_add_up_and_orders_do_not_disturb_each_other() -> None:
 
 
 def test_secondary_in_a_room_obeys_linearity_order_by_order() -> None:
-    """Halving every albedo divides the primary by 2³, the secondary by 2⁴ — path by path, exactly."""
+    """Halving every albedo divides the primary by 2³ and the secondary by 2⁴, exactly, because the paths are the
+    same."""
     capture = one_point_capture(time=bins_of_path(60, 0.3, 0.0))
     bright, dark = (simulate(furnished_box(a), capture, Accuracy(2048, 4, 4, 4), seed=3) for a in (0.8, 0.4))
     np.testing.assert_allclose(dark.components["primary"] * 8, bright.components["primary"], rtol=1e-9)
@@ -132,7 +135,8 @@ def test_secondary_is_reciprocal() -> None:
 
 
 def test_attenuation_is_exp_of_the_whole_path() -> None:
-    """With time origin `source` a bin is a path length: light in it is dimmed by exp(−a path), all legs alike."""
+    """With the time origin at the source each bin is one path length, so its light is dimmed by exp(−a path),
+    whatever the leg."""
     capture = one_point_capture(time=bins_of_path(4000, 0.005, 0.0, "source"))
     clear = simulate(furnished_box(), capture, Accuracy(2048, 4, 5, 2, direct=True), seed=1)
     foggy = simulate(
@@ -145,7 +149,8 @@ def test_attenuation_is_exp_of_the_whole_path() -> None:
 
 
 def test_direct_return_of_the_laser_point_in_closed_form() -> None:
-    """One bounce: ρ/π cosθ A/R², at the path of both device legs (0 from the wall), in the pixel that sees it."""
+    """One bounce brings ρ/π cosθ A/R², at the path of both device legs (0 with the origin at the wall), in the pixel
+    that sees the laser point."""
     wall = Scene.from_parts([Part("wall", rectangle((0, 0, 0), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")])
     laser, sensor, spot = np.array([2.0, 0.5, 0]), np.array([1.5, -0.2, 0.3]), np.array([0, 0.1, 0.2])
     pixels = square_pixels([spot, [0, 0.6, 0.2]], 0.1)
@@ -164,7 +169,8 @@ def test_direct_return_of_the_laser_point_in_closed_form() -> None:
 
 
 def test_direct_return_of_two_bounces_by_quadrature() -> None:
-    """A side wall in the FoV lit by the laser point on the wall beside it, down to the corner they share."""
+    """A side wall in the field of view is lit by the laser point on the wall beside it, down to the corner that both
+    share."""
     wall = rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1))
     side = rectangle((1, 1, 0), (1, 0, 0), (0, 0, 1))
     scene = Scene.from_parts([Part("wall", wall, Lambertian(0.8), "relay_wall"), Part("side", side, Lambertian(0.5))])
@@ -203,7 +209,8 @@ def test_a_near_disc_aperture_receives_its_exact_share() -> None:
 
 @pytest.mark.parametrize("pairing", ["exhaustive", "confocal"])
 def test_many_pixels_give_what_each_gives_alone(pairing: str) -> None:
-    """Array sensors, single pixels, confocal and exhaustive scans: one code, the same light."""
+    """Array sensors, single pixels, confocal and exhaustive scans run the same code and give each pixel the same
+    light."""
     scene, device, axis = furnished_box(), np.array([1.5, 0.1, 1.3]), bins_of_path(20, 0.8, 0.0)
     points = np.array([[0, y, 1.3] for y in (-0.8, 0.0, 0.8)])
     pixels = square_pixels(points, 0.1)

@@ -1,4 +1,5 @@
-"""The primary from cells: closed forms, quadrature, and laws that hold without any noise."""
+"""The primary by quadrature over surface elements: closed forms, numerical integrals, and laws that hold without
+noise."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ def crate() -> trimesh.Trimesh:
 
 
 def headless(box: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Without its face towards the wall."""
+    """The box without its face towards the wall."""
     return trimesh.Trimesh(box.vertices, box.faces[box.triangles_center[:, 0] > 0.96], process=False)
 
 
@@ -64,7 +65,7 @@ def test_triangles_that_lie_on_each_other_count_once() -> None:
 
 
 def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
-    """Black, and exactly in the plane of the box it is on: as if there were a hole in half of the box's face."""
+    """A black poster, exactly in the plane of the box that it hangs on, acts as a hole in half of the box's face."""
     poster = Part("poster", rectangle((0.95, 0, -0.125), (0, 0.25, 0), (0, 0, 0.125)), Lambertian(0.0))
     rest = Part("rest", rectangle((0.95, 0, 0.125), (0, 0.25, 0), (0, 0, 0.125)), Lambertian(0.6))
     bare, covered = wall_and_box(crate()), wall_and_box(crate(), poster)
@@ -76,7 +77,8 @@ def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
 
 @pytest.mark.parametrize("reach", [0.2, 0.6])
 def test_a_pixel_that_reaches_over_the_edge_of_the_wall_keeps_its_light(reach: float) -> None:
-    """What lies on the wall is a pixel of its own: the same light, as nearly as is asked of both."""
+    """The part of the pixel that lies on the wall, taken as a pixel of its own, sees the same light within both
+    errors asked."""
     half, own = 0.2, looking_at(0.0)
     over = cells(wall_and_box(crate()), looking_at(1 - 2 * half * reach + half, half))
     corners = np.array(
@@ -88,7 +90,7 @@ def test_a_pixel_that_reaches_over_the_edge_of_the_wall_keeps_its_light(reach: f
 
 
 def test_arrival_times_of_a_large_pixel_are_spread() -> None:
-    """A pixel of 40 cm and bins of 2 cm: the mean of its 24 × 24 small ones, by bin."""
+    """A pixel of 40 cm, in bins of 2 cm, has the mean histogram of the 24 × 24 small pixels that it consists of."""
     half, n = 0.2, 24
     corners = looking_at(0.0, half).sensor.pixels[0]
     y, z = (np.linspace(corners[:, k].min(), corners[:, k].max(), n + 1) for k in (1, 2))
@@ -109,7 +111,7 @@ def test_a_target_out_of_reach_comes_to_an_end_and_says_so() -> None:
 
 
 def empty_room(size_m: float = 1.0, away: np.ndarray | float = 0.0) -> Scene:
-    """Five sides of a room of 4 × 3 × 2.5 m round its relay wall, and nothing in it; × size."""
+    """Five sides of an empty room of 4 × 3 × 2.5 m about its relay wall, scaled by `size`."""
     room = furnished_box(0.5)
     kept = [k for k, name in enumerate(room.part_names) if name not in ("box", "pillar")]
     return Scene.from_parts(
@@ -139,7 +141,7 @@ def cells_of(found: Transient) -> float:
 
 @pytest.mark.parametrize("origin", ["wall", "source"])
 def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
-    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
+    """A small patch brings L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
     side, h = 1e-3, 5e-4
     x2 = np.array([1.2, 0.5, -0.3])
     x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
@@ -159,7 +161,7 @@ def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
 
 
 def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
-    """In a room without occluders the error is inversely proportional to the number of cells, down to 10⁻⁴."""
+    """In a room without occluders the error is inversely proportional to the number of elements, down to 10⁻⁴."""
     room, capture = empty_room(), one_point_capture(half_side_m=1e-4, time=bins_of_path(120, 0.1, 0.0))
     truth = cells(room, capture, Accuracy(target=1e-4))
     runs = [cells(room, capture, Accuracy(target=target)) for target in (0.1, 0.03, 0.01, 3e-3, 1e-3)]
@@ -172,7 +174,8 @@ def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
 
 @pytest.mark.nightly
 def test_the_inside_of_a_sphere() -> None:
-    """L = ρ³/π · A Ω / (4π r²), and the length of two chords that meet in a uniform point, by bin."""
+    """The energy is L = ρ³/π · A Ω / (4π r²), and arrival times are distributed as two chords that meet in a uniform
+    point."""
     ball = trimesh.creation.icosphere(subdivisions=5)
     ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
@@ -185,7 +188,8 @@ def test_the_inside_of_a_sphere() -> None:
 
 
 def test_swapping_laser_point_and_pixel_changes_nothing() -> None:
-    """Device legs and the pixel's solid angle apart; the pixel is small, so that both are points."""
+    """Reciprocity, apart from the device legs and the pixel's solid angle; the pixel is so small that both are
+    points."""
     a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
     there, back = (
         cells(furnished_box(), one_point_capture(p, q, h, device=device)).total
@@ -197,13 +201,13 @@ def test_swapping_laser_point_and_pixel_changes_nothing() -> None:
 
 @pytest.mark.parametrize("size", [0.025, 250.0])
 def test_a_room_of_10_cm_and_one_of_a_kilometre(size: float) -> None:
-    """Geometry × s with the aperture fixed: times × s, energy × s⁻²."""
+    """Scaling the geometry by s with the aperture fixed multiplies times by s and energy by s⁻²."""
     room = furnished_box()
     scaled = rebuilt(room, lambda mesh: mesh.apply_scale(size))
     plain = cells(room, one_point_capture())
     points = np.array([(0, -0.8, 1.4), (0, 0.4, 1.2), (1.5, 0.1, 1.3)]) * size
     found = cells(scaled, one_point_capture(*points[:2], 0.2 * size, bins_of_path(200, 0.1 * size, 0.0), points[2]))
-    # How finely it is cut hangs on rounding where two cuttings do equally well.
+    # Where two cuttings are equally good, rounding decides which one is chosen.
     assert np.linalg.norm(found.total * size**2 - plain.total) < 0.01 * np.linalg.norm(plain.total)
     assert everything(found) * size**2 == pytest.approx(everything(plain), rel=2e-3)
 
@@ -216,13 +220,14 @@ def test_ten_kilometres_from_the_origin() -> None:
         Sensor(capture.sensor.position + away, capture.sensor.pixels + away), capture.time,
     )  # fmt: skip
     far, plain = cells(rebuilt(room, lambda mesh: mesh.apply_translation(away)), moved), cells(room, capture)
-    # Coordinates are rounded to 2e-12 m, and how finely it is cut may hang on that.
+    # Coordinates are rounded to 2e-12 m, which may decide how finely surfaces are cut.
     assert off_by(far, plain) < 0.01
     assert everything(far) == pytest.approx(everything(plain), rel=2e-3)
 
 
 def test_light_is_linear_in_the_albedo() -> None:
-    """All of them halved: an eighth, exactly; one object's halved: half of its own light, within what was asked."""
+    """Halving all albedos leaves exactly an eighth of the light; halving one object's leaves half of that object's
+    light, within the error asked."""
     room, capture = furnished_box(0.8), one_point_capture()
     whole = cells(room, capture)
     dim = cells(replace(room, materials=tuple(Lambertian(0.4) for _ in room.materials)), capture)
@@ -275,8 +280,8 @@ def test_a_laser_point_in_a_corner_needs_no_more_than_ten_times_the_cells(gap: f
     ("attenuation_per_m", "bounces"), [(0.5, 3), (2.0, 3), (10.0, 3), (50.0, 3), (0.5, 4), (2.0, 4)]
 )
 def test_fog_needs_no_more_cells_than_clear_air(attenuation_per_m: float, bounces: int) -> None:
-    """Judged by what they would bring in clear air, cells were cut 10 times as finely as 2 m⁻¹ asks for, and without
-    end in 50 m⁻¹."""
+    """Elements are cut for the light that arrives through the fog. When they were cut for that in clear air, an
+    attenuation of 2 m⁻¹ took 10 times as many as needed, and 50 m⁻¹ never ended."""
     points = grid_points(WALL, 3, 3)
     capture = point_capture(WALL, points, DEVICE, points, path_axis(256, 0.06, 0.0), confocal=True)
     clear = furnished_room()
@@ -290,7 +295,7 @@ def test_fog_needs_no_more_cells_than_clear_air(attenuation_per_m: float, bounce
 
 @pytest.mark.parametrize(("bins", "width_m"), [(1, 20.0), (100_000, 3e-4)])
 def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
-    """Narrow bins added up are wide ones, and a window loses nothing: all of it is in a bin or in the overflow."""
+    """Narrow bins add up to wide ones, and all light is in a bin or in the overflow."""
     room = furnished_box()
     found = cells(
         room, one_point_capture(half_side_m=0.02, time=bins_of_path(bins, width_m, 0.0)), Accuracy(target=0.02)
@@ -299,13 +304,14 @@ def test_one_bin_and_a_hundred_thousand(bins: int, width_m: float) -> None:
     assert everything(found) == pytest.approx(everything(plain), rel=0.02)
     assert found.overflow.sum() == 0
     late = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(20, 0.1, 4.0)))
-    # Of two cuttings, each to 2 %.
+    # The two time axes lead to two cuttings, each with an error of 2 %.
     assert everything(late) == pytest.approx(everything(plain), rel=0.01)
     assert np.linalg.norm(late.total - plain.total[..., 40:60]) < 0.015 * np.linalg.norm(plain.total[..., 40:60])
 
 
 def test_light_outside_the_window_is_not_cut_for_what_little_is_inside() -> None:
-    """The window is a faint bin. In one of the fuzzer's, with 10⁻¹⁰ of the light, cells had no end."""
+    """The window is one faint bin. In such a window with 10⁻¹⁰ of the light, which a fuzzer found, refinement never
+    ended."""
     room, accuracy = furnished_box(), Accuracy(target=0.05)
     plain = cells(room, one_point_capture(half_side_m=0.02, time=bins_of_path(1500, 0.01, 0.0)), accuracy)
     light = plain.total[0, 0]

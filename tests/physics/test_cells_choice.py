@@ -1,4 +1,4 @@
-"""How finely surfaces and pixels are cut is chosen on a few laser points: what these must not miss."""
+"""How finely surfaces and pixels are cut is chosen on a few laser points: light that this choice must not miss."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def wall_and(*parts: Part) -> Scene:
 
 @pytest.mark.parametrize(("from_side", "at_edge"), [(0.35, True), (0.15, True), (-0.05, False)])
 def test_a_corner_of_a_pixel_on_another_surface_is_seen(from_side: float, at_edge: bool) -> None:
-    """A thin plate on the wall covers that share of both sides of the pixel, of its area a fiftieth at the least."""
+    """A thin plate on the wall covers the fraction `from_side` of both sides of the pixel, and at least a fiftieth of
+    its area: the pixel counts as one at an edge."""
     low = np.array([0.4, 1.2]) + HALF_M - 2 * HALF_M * from_side
     plate = rectangle((1e-4, low[0] + 0.1, low[1] + 0.1), (0, 0.1, 0), (0, 0, 0.1))
     scene = wall_and(Part("plate", plate, Lambertian(ALBEDO), "structure"))
@@ -47,8 +48,8 @@ def test_a_corner_of_a_pixel_on_another_surface_is_seen(from_side: float, at_edg
 
 @pytest.mark.parametrize("gap", [0.002, 0.01])
 def test_patches_are_as_fine_as_a_close_surface_needs(gap: float) -> None:
-    """In bins of 4 cm a pixel of 4 cm is a point in time, but not before a board some millimetres beside it: what
-    patches of 64ths would change is within the share of the error that they may have."""
+    """In bins of 4 cm a pixel of 4 cm is a point in time, but not for a board some millimetres beside it. The finest
+    footprints would change the light by no more than the share of the error that footprints may have."""
     centre = np.array([0.4, 1.2])
     board = rectangle((0.15, centre[0] + HALF_M + gap, centre[1]), (0.15, 0, 0), (0, 0, 0.3))
     scene = wall_and(Part("board", board, Lambertian(ALBEDO)))
@@ -64,14 +65,14 @@ def test_patches_are_as_fine_as_a_close_surface_needs(gap: float) -> None:
     quartering = quarter(trial, choice, asked, len(pairs))
     assert quartering is not None
     found, finest = (
-        gathering.gathered(pairs, gathering.seen(pairs, levels), choice.tried, np.arange(2)).histogram
+        gathering.gathered(pairs, gathering.seen(pairs, levels), choice.tried_cutting, np.arange(2)).histogram
         for levels in (quartering.levels, MOST_LEVELS)
     )
     assert np.linalg.norm(found - finest) <= PATCHES_SHARE * 0.02 * np.linalg.norm(finest)
 
 
 def scan_with_few_low_points(order: int) -> Capture:
-    """Confocal points under the ceiling, and one in twenty above the floor, in any order."""
+    """Confocal points under the ceiling, and one in twenty above the floor, in random order."""
     rng = np.random.default_rng(order)
     points = np.column_stack([np.zeros(120), rng.uniform(-1.2, 1.2, 120), rng.uniform(2.2, 2.3, 120)])
     points[:6, 2] = rng.uniform(0.2, 0.3, 6)
@@ -83,14 +84,14 @@ def scan_with_few_low_points(order: int) -> Capture:
 
 @pytest.mark.parametrize("order", range(6))
 def test_all_light_is_in_the_trial(order: int) -> None:
-    """The pairs that a cutting is tried on stand for the light of each object, and of all else, within half of it:
-    of the coarsest cells one ray each tells what is seen, and six points have all the light of the floor."""
+    """The trial's pairs represent the light of each object, and of all other parts, within half of it, though six
+    points of the scan have all light of the floor."""
     scene, capture = furnished_box(), scan_with_few_low_points(order)
     gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), order, split_parts=True))
     pairs = pairs_of(gathering.task.capture)
     asked = Asked(0.02, 0.05, 0.0, np.array([role == "object" for role in scene.roles]))
     trial = Trial.of(gathering, pairs, asked)
-    # Finer than the look: of the coarsest cells one ray each says whether they are seen.
+    # Finer than the rough draw: one ray decides whether a coarsest element is seen at all.
     own = np.linalg.norm(trial.gathered(np.full(len(trial.scale), COARSE), 0).histogram, axis=(0, 2))
     cutting = 0.01 * np.maximum(own, 1e-3 * own.max()) / np.sqrt(len(pairs))
     seen = gathering.seen(pairs, trial.levels)
@@ -98,13 +99,13 @@ def test_all_light_is_in_the_trial(order: int) -> None:
     tried = trial.gathered(cutting, 0).histogram
     rough, own = (np.linalg.norm(found, axis=(0, 2)) for found in (tried, every))
     off = np.abs(np.log(rough[own > 0] / own[own > 0]))
-    # Of what is faint fewer cells were looked at, and its error counts for as little in the whole.
+    # Faint groups have fewer elements, and their error counts for little in the whole.
     assert (off < np.log(np.where(own[own > 0] > 0.01 * own.max(), 1.5, 8.0))).all()
 
 
 def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
-    """Pixels with the foot of a board across them, lit near to it: what the points of the chosen net leave is what is
-    said, and less than what is asked; those of any scene leave more."""
+    """The foot of a board crosses pixels that are lit close to it. The error of the chosen points is at most the
+    error claimed, and that is less than the error asked; the fewest points would leave more."""
     y = np.linspace(-0.6, 0.6, 12)
     board = rectangle((0.15, 0.0, 1.2), (0, 0.8, 0), (0.15, 0, 0.0))
     laser = np.column_stack([np.zeros(12), y, np.full(12, 1.203)])
@@ -122,16 +123,18 @@ def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
     quartering = quarter(trial, choice, asked, len(pairs))
     assert quartering is not None
     of_any, chosen, truth = (
-        gathering.gathered(pairs, gathering.seen(pairs, 0, levels), choice.tried, np.zeros(2, np.int64)).histogram
+        gathering.gathered(
+            pairs, gathering.seen(pairs, 0, levels), choice.tried_cutting, np.zeros(2, np.int64)
+        ).histogram
         for levels in (gathering.edge_levels(), quartering.edge_levels, 8)
     )
     of_any, chosen = (np.linalg.norm(found - truth) for found in (of_any, chosen))
-    assert chosen <= quartering.error <= 0.02 * choice.whole < of_any
+    assert chosen <= quartering.error <= 0.02 * choice.norm < of_any
 
 
 def test_few_pairs_tell_of_errors_that_all_have() -> None:
-    """Of scans that objects light over four decades, 12 of 64 pairs tell of errors that are alike in all of them, dim
-    or bright, within a third in 99 of 100: drawn by squares of light they were up to a half off."""
+    """Objects light a scan over four decades, and errors are alike in all 64 pairs, dim or bright. 12 drawn pairs
+    estimate them within a third in 99 of 100 draws; a draw by squares of light was up to a half off."""
     rng, off = np.random.default_rng(1), []
     for _ in range(400):
         light = 10 ** rng.uniform(-3, 1, (64, 6))
@@ -141,8 +144,8 @@ def test_few_pairs_tell_of_errors_that_all_have() -> None:
 
 
 def test_each_draw_of_a_trial_has_its_own_points() -> None:
-    """Clusters that no cutting changes would else look alike, through the same points, however wrong they are; a
-    ball of small triangles behind a plate is another one in each draw, and the same in the same."""
+    """A ball of small triangles behind a plate: another draw has other random points and so another light, the same
+    draw the same. Else clusters, which no cutting changes, would agree with themselves however wrong they are."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.3)
     ball.apply_translation((1.5, 0.0, 1.2))
     plate = rectangle((0.8, 0.3, 1.2), (0, 0.2, 0), (0, 0, 0.2))

@@ -1,7 +1,8 @@
-"""The promise of the primary from cells, on scenes of the ready configurations: in all and object by object.
+"""The promised error of the primary by quadrature, of the whole and of each object, on scenes of the ready
+configurations.
 
-A scan is run to its target, and a few of its laser points once more to an eighth of it with another seed, which is
-taken for the truth. Each error is within what was asked with a probability of 95 %.
+A scan is run to its target, and a few of its laser points once more, with another seed, to an eighth of the target,
+which counts as the truth. Each error is within the error asked with a probability of 95 %.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ LEVEL = 1e-3
 
 
 def misses(scene: Scene, capture: Capture, target: float, seed: int) -> list[bool]:
-    """Whether the error is beyond what was asked: of the whole, and of each object that is held to it."""
+    """Whether each error exceeds the error asked: that of the whole, and of each object that an error is claimed
+    for."""
     few = held_points(capture)
     run = simulate(scene, capture, Accuracy(target=target), seed)
     true = truth(scene, capture, target, seed)
@@ -37,7 +39,8 @@ def promised(run: Transient) -> list[str]:
 
 
 def test_errors_are_within_what_was_asked() -> None:
-    """Misses of the whole and of objects, each against a binomial of 5 %, at 10⁻³."""
+    """The numbers of misses, of the whole and of objects, are compared with a binomial distribution of 5 % at
+    10⁻³."""
     found = [
         misses(scene, capture, DAILY_TARGET, 10 * k) for k, (scene, capture) in enumerate(scenes(DAILY, DAILY_COUNT))
     ]
@@ -50,7 +53,8 @@ def test_errors_are_within_what_was_asked() -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("target", TARGETS)
 def test_all_ready_configurations_keep_their_promise(target: float) -> None:
-    """As `datagen bench promise`, on scenes that no figure in docs is of; misses as by day."""
+    """As `datagen bench promise`, on scenes that no figure of the pages uses; misses are judged as in the daily
+    test."""
     configs = [load_config(path) for path in sorted(CONFIGS.glob("*.yaml"))]
     ready = [config for config in configs if config.transport.target is not None]
     found = [one for config in ready for index in range(100, 108) for one in checks_of(config, index, target)]

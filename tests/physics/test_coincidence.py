@@ -1,4 +1,5 @@
-"""Parts in one place are found in whatever plane, where light gets; neighbours that share an edge are not."""
+"""Parts that lie in one place are found in any plane that light reaches; neighbours that share an edge are not
+reported."""
 
 import numpy as np
 import pytest

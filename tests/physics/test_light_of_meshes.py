@@ -1,4 +1,5 @@
-"""Meshes of many small triangles: their light is right, and its cost follows detail, not the number of triangles."""
+"""Meshes of many small triangles: their light is right, and the cost follows their detail, not the number of
+triangles."""
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ def test_a_meshes_own_light_is_within_what_is_claimed(quads: int) -> None:
 
 
 def test_a_mesh_of_a_hundred_thousand_triangles_costs_its_detail() -> None:
-    """As many cells as for a hundredth of them, but for the detail that these have."""
+    """It takes as many elements as a mesh of a hundredth of the triangles, apart from its finer detail."""
     few, many = (with_lump(quads, 50) for quads in (9, 91))
     assert few.spend is not None and many.spend is not None
     assert many.spend.lookins["primary"] < 6 * few.spend.lookins["primary"]
@@ -49,7 +50,7 @@ def test_a_mesh_of_a_hundred_thousand_triangles_costs_its_detail() -> None:
 
 
 def test_a_flat_mesh_is_the_rectangle_that_it_covers() -> None:
-    """Of 8 192 triangles and of two: light and shadow."""
+    """A flat mesh of 8 192 triangles and a rectangle of two have the same light and the same shadow."""
     corners = np.array([[1.2, -0.5, 1.0], [1.4, 0.3, 0.9], [1.3, 0.4, 1.7], [1.1, -0.4, 1.8]])
     plain = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
     fine = plain
@@ -63,8 +64,8 @@ def test_a_flat_mesh_is_the_rectangle_that_it_covers() -> None:
 
 
 def test_an_object_that_is_nearly_hidden_is_told_and_not_chased() -> None:
-    """The device stands in a closed mesh: what comes out at its seams is a millionth of the light, and would take any
-    number of rays to find."""
+    """The device stands inside a closed mesh: the light that leaves at its seams is a millionth of all, and finding
+    it would take any number of rays. The run ends and reports its error."""
     scene = furnished_room(more=[lump("mesh", (1.6, -0.2, 1.5), 0.4, 9)])
     found = simulate(scene, scan(4), Accuracy(target=0.02, max_bounces=3), split_parts=True)
     assert found.spend is not None and found.spend.way["primary"] == "cells"

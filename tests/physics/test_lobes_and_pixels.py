@@ -1,5 +1,5 @@
-"""Lobes seen by pixels that have a size: quartering them must not make light worse, and how finely to cut must be
-measured by the light that there is."""
+"""Lobes seen by pixels of a finite size: quartering pixels must not make the light worse, and how finely surfaces are
+cut must follow the light that there is."""
 
 import numpy as np
 import pytest
@@ -13,11 +13,12 @@ from datagen.transport.reference import pairs_of
 from datagen.transport.simulate import prepared
 
 SAMPLES = 1 << 21
-"""Of the truth, over all pairs: some two seconds."""
+"""Samples of the truth over all pairs; they take some two seconds."""
 
 
 def off(ours: Floats, truth: Floats) -> float:
-    """Relative L2 error, the truth's noise taken out; `truth` (K, n) independent runs."""
+    """Relative L2 error of the light, with the noise of the truth subtracted; `truth` (K, n) holds independent
+    runs."""
     norm, _ = off_square(np.zeros(truth.shape[1]), truth)
     return float(np.sqrt(max(off_square(ours.ravel(), truth)[0], 0.0) / norm))
 
@@ -29,7 +30,8 @@ def truth_of(foreign: ForeignScene, what: str) -> Floats:
 
 
 def test_quartering_pixels_does_not_make_lobes_worse() -> None:
-    """A glossy box. Patches that may each err by as much as their pixel err by 2^levels together."""
+    """A glossy box. If each footprint could err by as much as its pixel, all of them would err by 2^levels
+    together."""
     foreign, part = foreign_scene(19), "object 0"
     true = truth_of(foreign, part)
     gathering = Gathering.of(prepared(foreign.scene, foreign.capture, Accuracy(target=0.02), 1, split_parts=True))
@@ -46,7 +48,7 @@ def test_quartering_pixels_does_not_make_lobes_worse() -> None:
 
 @pytest.mark.parametrize(("scene", "part"), [(6, "object 0"), (17, "object 2")])
 def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> None:
-    """A ball of facets that mirror in 1 degree, and a box that sends light back in 11."""
+    """A ball of facets with mirror lobes of 1 degree, and a box with a retroreflecting lobe of 11 degrees."""
     foreign = foreign_scene(scene)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
     assert off(lights(run)[part], truth_of(foreign, part)) < max(2.0 * run.part_errors[part], 0.03)
@@ -54,8 +56,8 @@ def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> N
 
 @pytest.mark.parametrize("target", [0.05, 0.02])
 def test_how_finely_to_cut_is_measured_by_the_light_there_is(target: float) -> None:
-    """A wall with a narrow lobe, a device low above the floor: were all matt there would be a million times as much,
-    and cells that may be wrong by a thousandth of that agree whatever they miss."""
+    """A wall with a narrow lobe, and a device low above the floor: matt surfaces would bring a million times as much
+    light. Elements that may err by a thousandth of that light agree with each other whatever they miss."""
     foreign = foreign_scene(45)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=target, max_bounces=3), seed=1)
     true = truth_of(foreign, WHOLE)
@@ -64,7 +66,8 @@ def test_how_finely_to_cut_is_measured_by_the_light_there_is(target: float) -> N
 
 
 def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
-    """A plate that sends light back in 1.5 degrees, whose plane crosses a pixel: its one side lights a part of it."""
+    """The plane of a plate with a retroreflecting lobe of 1.5 degrees crosses a pixel: one side of the plate lights a
+    part of that pixel."""
     foreign, part = foreign_scene(35), "object 2"
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
     crossed = 1
@@ -73,8 +76,8 @@ def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
 
 
 def test_cells_are_cut_for_the_light_that_small_patches_see() -> None:
-    """A wall that mirrors in 2 degrees the floor's light from the far end of a room. The points of few patches miss
-    most of one pixel's light: cells that are fine enough without it lost 6 % where 1.4 % was claimed."""
+    """A wall mirrors, in a lobe of 2 degrees, the floor's light from the far end of a room. Few footprints miss most
+    of one pixel's light: elements that are fine enough without that light lost 6 % where 1.4 % was claimed."""
     foreign = foreign_scene(176)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=176)
     assert run.met_target and off(lights(run)[WHOLE], truth_of(foreign, WHOLE)) < 0.03

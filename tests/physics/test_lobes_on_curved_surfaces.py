@@ -1,8 +1,9 @@
-"""Glossy and retroreflecting bodies of many facets, held against the sum over all of their facets.
+"""Glossy and retroreflecting bodies of many facets, compared with the sum over all of their facets.
 
-Seen confocally the primary of a body before a matt wall is Σ over its facets of (ρ₁/π)² cos²θ₁ cos²θ₂ f₂ V / R⁴, each
-cut into so many pieces that its lobe is resolved. Facets whose light is tried at few points look dark when lobes pass
-between these, at every refinement: a claim that is held against finer cells alone is then kept by wrong light.
+For a confocal scan the primary of a body before a matt wall is Σ over its facets of (ρ₁/π)² cos²θ₁ cos²θ₂ f₂ V / R⁴,
+each facet cut into pieces that resolve its lobe. Facets whose light is evaluated at few points look dark at every
+refinement where lobes pass between these points: a claim that is compared with finer elements alone would then be
+kept by wrong light.
 """
 
 from pathlib import Path
@@ -39,7 +40,7 @@ def ball() -> trimesh.Trimesh:
 
 
 def mesh(name: str) -> trimesh.Trimesh:
-    """A real mesh, half a metre large, where the ball is."""
+    """A real mesh, half a metre large, at the place of the ball."""
     if not (MESHES / name).is_file():
         pytest.skip(
             f"{name}: real meshes are not part of the repository; put it into shared/meshes beside the checkout"
@@ -59,7 +60,7 @@ def pieces(corners: np.ndarray, times: int) -> np.ndarray:
 
 
 def facet_sum(scene: dg.Scene, body: trimesh.Trimesh, times: int) -> np.ndarray:
-    """(36,) photons of the body at each point, each facet cut into 4^times pieces."""
+    """(36,) photons of the body at each laser point, each facet cut into 4^times pieces."""
     corners = pieces(np.asarray(body.triangles), times)
     middle = corners.mean(axis=1)
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -90,9 +91,10 @@ def scene_of(body: trimesh.Trimesh, material: dg.Lambertian) -> tuple[dg.Scene, 
 
 
 def check(body: trimesh.Trimesh, material, times: int, seeds, targets=(0.02, 0.005)) -> None:
-    """Energy to half a per cent; the L2 error within the target but for one run of these, and that within twice it.
+    """The energy is right to half a per cent; the L2 error is within the target except in one of these runs, and
+    there within twice the target.
 
-    The claim is an estimate at 98 %, from some of the laser points.
+    The claimed error is an estimate at 98 %, from some of the laser points.
     """
     scene, capture = scene_of(body, material)
     truth = facet_sum(scene, body, times)
@@ -102,7 +104,7 @@ def check(body: trimesh.Trimesh, material, times: int, seeds, targets=(0.02, 0.0
             run = dg.simulate(scene, capture, dg.Accuracy(target=target), seed=seed)
             energy = run.total.sum(axis=(1, 2)) + run.overflow.sum(axis=1)
             assert energy.sum() == pytest.approx(truth.sum(), rel=0.005), (material, target, seed)
-            # The sum itself is right to a few thousandths for the narrowest lobes.
+            # The truth is a sum that is right to a few thousandths for the narrowest lobes.
             off = np.linalg.norm(energy - truth) / np.linalg.norm(truth) / max(target, 0.006)
             beyond.append(off)
             assert run.met_target

@@ -1,4 +1,4 @@
-"""What stands in the way: shadow rays where occlusion counts, none where it does not."""
+"""The option `occlusion`: which connections cast shadow rays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from datagen.errors import InputError
 
 
 def test_without_occlusion_nothing_is_asked_and_light_is_only_added() -> None:
-    """Off: no ray for any connection, exact where nothing stands in the way, too much light where something does."""
+    """Without occlusion no connection casts a ray: the light is exact where nothing stands in the way, and too much
+    elsewhere."""
     axis = bins_of_path(64, 0.3, 0.0)
     wall, plate = rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), rectangle((1, 0, 0), (0, -0.3, 0), (0, 0, 0.3))
     bare = Scene.from_parts([Part("wall", wall, Lambertian(0.8), "structure"), Part("plate", plate, Lambertian(0.6))])

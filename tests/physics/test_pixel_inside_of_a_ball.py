@@ -1,4 +1,4 @@
-"""A pixel on the inner side of an open ball: what is lit stands as near to it as the pixel is large."""
+"""A pixel on the inner side of an open ball, where lit surfaces are as near as the pixel is large."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PIXEL_IN_A_BALL, OBJECT = 2167, "object 1"
 
 @pytest.mark.parametrize("seed", [2167, 1])
 def test_trials_are_fine_enough_for_what_is_near(seed: int) -> None:
-    """The ball's energy is within 1.5 % of that of paths that know of no elements; 5 % are asked of its light."""
+    """The ball's energy is within 1.5 % of that of sampled paths, which use no elements; the error asked is 5 %."""
     foreign = foreign_scene(PIXEL_IN_A_BALL)
     truth = reference(
         foreign.scene, foreign.capture, samples=1 << 12, replicates=8, seed=5, max_bounces=3, draw=sample_paths

@@ -1,4 +1,5 @@
-"""Laws the primary must obey: linearity, scaling, shifts, energy bookkeeping, contact, nothing visible."""
+"""Laws of the primary: linearity, scaling, shifts, conservation of energy between bins, contact, and scenes without
+light."""
 
 from __future__ import annotations
 
@@ -47,7 +48,8 @@ def test_ten_kilometres_from_the_origin_the_answer_is_the_same() -> None:
 
 
 def test_the_primary_is_linear_in_each_albedo() -> None:
-    """One factor ρ for the laser point, one for the lookin's part, one for the FoV point: exactly, path by path."""
+    """The light is proportional to the albedo at the laser point, the hidden vertex and the FoV point, exactly,
+    because the paths are the same."""
     scene, capture = furnished_box(0.5), one_point_capture()
     base = simulate(scene, capture, ACCURACY, seed=4)
     for name, power in (("relay_wall", 2), ("box", 1)):
@@ -74,7 +76,8 @@ def test_parts_add_up_to_the_total() -> None:
 @pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 @pytest.mark.parametrize(("bins", "start"), [(1, 0.0), (7, 2.2), (40, 2.0), (200, 30.0), (100_000, 0.0)])
 def test_energy_is_in_a_bin_or_in_the_overflow(bins: int, start: float) -> None:
-    """Whatever the window, what falls outside is tallied: never wrapped, never piled into an end bin."""
+    """Whatever the window, light outside it is tallied as overflow: it never wraps and never piles up in an end
+    bin."""
     scene, width = furnished_box(), 0.05 if bins < 1000 else 1e-4
     whole = simulate(scene, one_point_capture(time=bins_of_path(400, 0.05, 0.0)), ACCURACY, seed=6)
     part = simulate(scene, one_point_capture(time=bins_of_path(bins, width, start)), ACCURACY, seed=6)
@@ -92,7 +95,8 @@ def test_energy_within_the_window_is_the_same_in_any_window() -> None:
 
 
 def test_an_occluder_casts_an_exact_shadow() -> None:
-    """A screen halfway hides part of a plate from the laser point and part from the FoV: brute-force quadrature."""
+    """A screen halfway hides part of a plate from the laser point and part from the field of view: compared with a
+    brute-force integral."""
     wall = rectangle((0, 0, 0), (0, 3, 0), (0, 0, 3))
     plate = rectangle((2, 0, 0), (0, 0.5, 0), (0, 0, 0.5))
     screen = rectangle((1, 0.1, 0.0), (0, 0.2, 0), (0, 0, 0.35))
@@ -172,7 +176,7 @@ def corner_quadrature(gap: float, half: float, radii: int, angles: int, ys: int,
 
 CORNER_GAP, CORNER_HALF = 1e-3, 0.05
 CORNER_QUADRATURE = 0.3089204724
-"""`corner_quadrature` of these, of 240 × 160 × 96 × 64 points."""
+"""Values of `corner_quadrature` for these gaps with 240 × 160 × 96 × 64 points."""
 
 
 @pytest.mark.parametrize("points", [(120, 80, 48, 32), pytest.param((240, 160, 96, 64), marks=pytest.mark.nightly)])
@@ -181,7 +185,8 @@ def test_the_quadrature_of_the_corner_has_converged(points: tuple[int, ...]) -> 
 
 
 def test_surfaces_that_touch_converge_and_stay_bounded() -> None:
-    """FoV and laser point a millimetre above the floor: 1/R² is unbounded there, the estimate is not."""
+    """Field of view and laser point are a millimetre above the floor: 1/R² is unbounded there, the estimate is
+    bounded."""
     scene, gap, half = corner_scene(), CORNER_GAP, CORNER_HALF
     truth = 0.8 * 0.6 * 0.8 / np.pi**3 * np.pi * 0.02**2 * CORNER_QUADRATURE
 
@@ -200,7 +205,7 @@ def test_surfaces_that_touch_converge_and_stay_bounded() -> None:
 
 @pytest.mark.parametrize("edge", [1e-3, 1e-6])
 def test_laser_point_at_an_edge(edge: float) -> None:
-    """Moving the laser point across the last millimetre to the edge changes the answer continuously."""
+    """The light changes continuously while the laser point crosses the last millimetre to the edge."""
     scene = furnished_box()
     near = simulate(scene, one_point_capture((0, -1.5 + edge, 1.4)), ACCURACY, seed=1)
     far = simulate(scene, one_point_capture((0, -1.5 + 2 * edge, 1.4)), ACCURACY, seed=1)

@@ -1,4 +1,5 @@
-"""The primary against three truths: a small patch (closed form), a rectangle (quadrature), the inside of a sphere."""
+"""The primary against three truths: a small patch (closed form), a rectangle (numerical integral), the inside of a
+sphere."""
 
 from __future__ import annotations
 
@@ -95,7 +96,8 @@ def test_inside_of_a_sphere_energy(ball: trimesh.Trimesh, albedo: float) -> None
 
 
 def test_inside_of_a_sphere_shape(ball: trimesh.Trimesh) -> None:
-    """The length of two chords that meet in a uniform point, by bin: 16 runs, level 10⁻³."""
+    """Arrival times are distributed as the length of two chords that meet in a uniform point: 16 runs, level 10⁻³
+    over the bins."""
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
     capture = sphere_capture()
     runs = np.array([simulate(scene, capture, Accuracy(4096, 8, 3, 1), seed=s).total[0, 0] for s in range(16)])

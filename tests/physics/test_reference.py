@@ -1,5 +1,5 @@
-"""Sampled paths of light against laws: spheres, the direct return, fog, reciprocity, nothing. That they are those of
-the definition, `tests/equivalence/test_sampled_paths.py` holds."""
+"""Sampled paths of light obey laws: spheres, the direct return, fog, reciprocity, dark scenes.
+`tests/equivalence/test_sampled_paths.py` shows that they equal the definition."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ APERTURE_M2 = np.pi * 0.02**2
 
 @pytest.mark.parametrize("albedo", [0.3, 1.0])
 def test_inside_of_a_sphere(albedo: float) -> None:
-    """Every vertex after a bounce is uniform on the sphere: b bounces bring ρᵇ/π · A Ω / (4π r²), whatever b ≥ 3."""
+    """Every vertex after a bounce is uniform on the sphere, so b bounces bring ρᵇ/π · A Ω / (4π r²) for any b ≥ 3."""
     ball = trimesh.creation.icosphere(subdivisions=5)
     # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
     ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
@@ -41,7 +41,8 @@ def test_inside_of_a_sphere(albedo: float) -> None:
 
 
 def test_paths_in_a_sphere_arrive_when_chords_say() -> None:
-    """The length of two chords that meet in a uniform point, by bin: 16 runs, level 10⁻³."""
+    """Arrival times are distributed as the length of two chords that meet in a uniform point: 16 runs, level 10⁻³
+    over the bins."""
     ball = trimesh.creation.icosphere(subdivisions=6)
     ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
@@ -63,8 +64,8 @@ def test_paths_in_a_sphere_arrive_when_chords_say() -> None:
 
 
 def test_laser_point_and_pixel_may_change_places() -> None:
-    """What goes from the laser point to a small pixel is what goes back, order by order, device legs apart: here
-    both are as far from the device and as oblique."""
+    """A small pixel and the laser point change places: the light is the same order by order, apart from the device
+    legs. Both points are equally far from the device and equally oblique."""
     places, device = [(0, -0.4, 1.2), (0, 0.4, 1.2)], (1.5, 0.0, 1.2)
     box = trimesh.creation.box(bounds=[(0.9, -1.2, 0.4), (1.3, -0.6, 1.3)])
     wall = Part("wall", rectangle((0, 0, 1.2), (0, 1.5, 0), (0, 0, 1.2)), Lambertian(0.8), "relay_wall")
@@ -85,7 +86,7 @@ def test_laser_point_and_pixel_may_change_places() -> None:
 
 
 def test_where_there_is_no_light() -> None:
-    """A laser ray or a pixel that meets nothing, and a wall alone: zeros, and no warning."""
+    """A laser ray or a pixel that meets nothing, and a wall alone, give zeros and no warning."""
     wall = Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
     alone = Scene.from_parts([wall])
     for laser, seen in (((0, 0.2, 1), (0, -0.2, 1)), ((0, 5.0, 1), (0, 0, 1)), ((0, 0, 1), (0, 5.0, 1))):
@@ -96,8 +97,8 @@ def test_where_there_is_no_light() -> None:
 
 
 def test_the_same_seed_gives_the_same_paths_whatever_else_is_asked() -> None:
-    """Paths of one pair do not depend on others that are drawn with it, but for their own numbers; sums over all
-    paths are what `reference` bins."""
+    """The paths of one pair do not depend on other pairs in the same call, and sums over all paths equal the
+    histograms of `reference`."""
     room, capture = furnished_box(), one_point_capture()
     caster, materials = Raycaster(room), MaterialTable.of(room.materials)
     one, again, other = (
@@ -109,8 +110,8 @@ def test_the_same_seed_gives_the_same_paths_whatever_else_is_asked() -> None:
 
 
 def test_what_samples_scatter_is_what_the_mean_is_off_by() -> None:
-    """The standard error that the spread of samples gives: that of the mean over 64 runs, or more (samples are
-    stratified), and not several times as much."""
+    """The standard error from the spread of samples is at least that of the mean over 64 runs (samples are
+    stratified), and not several times as large."""
     room, capture = furnished_box(), one_point_capture()
     caster, materials = Raycaster(room), MaterialTable.of(room.materials)
     samples, energy, told = 256, [], []

@@ -62,7 +62,8 @@ def test_cosine_directions_have_density_cos_over_pi() -> None:
 
 
 def test_standard_error_is_honest() -> None:
-    """Over 40 seeds the estimates scatter by what each of them states (total energy and single bins)."""
+    """The estimates of 40 seeds scatter by the standard error that each of them states, in total energy and in single
+    bins."""
     scene, capture = furnished_box(), one_point_capture(time=bins_of_path(60, 0.3, 0.0))
     runs = [simulate(scene, capture, Accuracy(1024, 4, 3, 8), seed=s) for s in range(40)]
     totals = np.array([r.total[0, 0] for r in runs])
@@ -75,7 +76,8 @@ def test_standard_error_is_honest() -> None:
 
 
 def test_order_of_convergence() -> None:
-    """Error of the total energy against N: scrambled Sobol' beats Monte Carlo's N^-1/2 clearly (about N^-0.9)."""
+    """The error of the total energy falls with the number of samples N clearly faster than Monte Carlo's N^-1/2:
+    about as N^-0.9."""
     scene, capture = furnished_box(), one_point_capture(half_side_m=0.01, time=bins_of_path(1, 40.0, 0.0))
     counts = np.array([256, 1024, 4096, 16384])
     errors = []

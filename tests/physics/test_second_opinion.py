@@ -1,4 +1,5 @@
-"""Unbiased samples find light that cells lost or made up, and leave right light alone."""
+"""The second opinion: unbiased samples detect light that elements lost or invented, and accept light that is
+right."""
 
 from dataclasses import replace
 
@@ -28,7 +29,7 @@ def scan(points_a_side):
 
 @pytest.fixture(scope="module")
 def found():
-    """A task, and what its primary claims."""
+    """A problem, and the claims of its primary."""
     task = prepared(furnished_box(), scan(8), Accuracy(target=0.02), 0, split_parts=True)
     primary = primary_by_cells(Gathering.of(task), 0.02, 0.05)
     return task, adaptive._claims(task, primary)
@@ -41,7 +42,7 @@ def darker(claims, names, share):
 
 
 def test_right_light_is_left_alone(found):
-    """At `LEVEL` = 10⁻⁴ for each scene, over all of its parts and windows, none of twelve opinions disagrees."""
+    """None of twelve opinions disagrees, each at `LEVEL` = 10⁻⁴ over all parts and windows of a scene."""
     task, claims = found
     assert all(second_opinion(task, claims, turn=seed).agrees for seed in SEEDS)
 
@@ -56,7 +57,7 @@ def test_a_seventh_of_the_whole_is_found_missing_or_too_much(found, share):
 
 
 def test_half_of_an_object_is_found_missing(found):
-    """Its light is some hundredths of the whole, in which nobody would miss half of it."""
+    """The object has a few hundredths of all light, so that the loss of half of it would not show in the whole."""
     task, claims = found
     objects = [name for name, role in zip(task.scene.part_names, task.scene.roles, strict=True) if role == "object"]
     assert objects
@@ -72,7 +73,7 @@ def test_light_that_comes_in_the_wrong_window_is_found(found):
 
 
 def test_a_scene_whose_light_is_disputed_is_sampled_and_says_so(monkeypatch):
-    """With a primary that loses a third of all light, finer cells too, the walk gives what the walk gives."""
+    """If the primary loses a third of all light at every fineness, path tracing replaces it."""
     scene, capture = furnished_box(), scan(3)
 
     def lossy(gathering, target, part_target, faint=0.0):
@@ -90,13 +91,14 @@ def test_a_scene_whose_light_is_disputed_is_sampled_and_says_so(monkeypatch):
 
 
 def test_light_of_which_samples_met_nothing_is_missed(found):
-    """A walk that meets no path of four bounces knows no error of them; its claim is one on the whole."""
+    """Path tracing that meets no path of four bounces has no scatter to estimate their error from: its claim is one
+    on the whole light."""
     task, claims = found
     dark = np.zeros_like(claims["primary"].light)
     whole = float(claims["primary"].light.sum())
     opinions = [second_opinion(task, {"secondary": Claim(dark, 0.02 * whole, 4)}, turn=seed) for seed in SEEDS]
     assert not any(opinion.agrees for opinion in opinions)
-    # What is missing is a large share of the light: so the claim, raised to it, says.
+    # A large share of the light is missing, and the claimed error is raised to that share.
     assert min(opinion.missing for opinion in opinions) > 0.1 * whole
 
 

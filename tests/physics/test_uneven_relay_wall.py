@@ -1,4 +1,5 @@
-"""A corrugated relay wall changes the transient, the less the shallower it is, and a level one not at all."""
+"""A corrugated relay wall changes the transient; the change falls with the depth of the ridges, and a level wall has
+none."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ PLAIN = {name: {"albedo": 0.7} for name in ("relay_wall", "walls", "floor", "cei
 
 
 def transient(relay: dict[str, Any]) -> Transient:
-    """Every draw but the ridges' phase is a constant, so that rooms differ by their relay wall alone."""
+    """The transient of a room whose draws, except for the ridges' phase, are constants, so that rooms differ by their
+    relay wall alone."""
     room = ROOM | {"relay_wall": relay}
     config = config_from_mapping(
         {
@@ -51,7 +53,7 @@ def test_a_corrugated_wall_differs_from_a_flat_one_and_tends_to_it() -> None:
 
 
 def test_ridges_light_each_other() -> None:
-    """Only a wall that is not flat scatters light from itself to itself in three bounces."""
+    """Only a wall that is not flat scatters light to itself in three bounces."""
     for relay, lit in (({"kind": "flat"}, False), (ribs(0.16), True)):
         own = transient(relay).parts["relay_wall"]
         assert (own.sum() > 0) == lit

@@ -1,1 +1,1 @@
-"""Who decides how much effort each integrator gets, by pilots of error and cost; the second opinion on results."""
+"""How much effort each integrator gets, from first runs that measure error and cost; and a check of results."""

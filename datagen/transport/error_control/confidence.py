@@ -1,4 +1,4 @@
-"""How large the error of an estimate may be: an upper confidence bound from the scatter of its replicates."""
+"""An upper confidence bound of an estimate's error, from the scatter of the estimate's replicates."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ import numpy as np
 from scipy.special import fdtri
 
 CONFIDENCE = 0.97
-"""Probability that the true squared error stays below its bound, at one look. A run looks after each of its two to
-four rounds and stops at the first that satisfies it, which costs some of that; 95 % are promised."""
+"""Probability that the true squared error stays below its bound, after one round. A run computes the bound after each
+of its two to four rounds and stops at the first that meets the target, which lowers the probability; 95 % are
+promised."""
 AGREEMENT = 0.999
-"""Quantile beyond which a round's difference from the rounds before it is taken for missed light, not for noise."""
+"""Quantile beyond which the difference between a round and the rounds before it is taken for missed light, not for
+noise: one round in a thousand is distrusted without reason."""
 
 
 @dataclass(frozen=True)
 class Scatter:
     """One independent contribution to an error.
 
-    variance : expected square of the L2 error that it adds, as estimated.
-    freedom : ν, in how many independent ways that error can fall out (`spread.Sketch.freedom`).
-    replicates : from how many repetitions the variance was estimated.
+    variance : estimated mean square of the L2 error that this contribution adds.
+    freedom : ν, degrees of freedom of that error (`replicate_spread.Sketch.freedom`).
+    replicates : number of repetitions that the variance was estimated from.
     """
 
     variance: float
@@ -36,7 +38,7 @@ def total_variance(scatters: Iterable[Scatter]) -> float:
 
 
 def bound_factor(scatters: Iterable[Scatter], confidence: float = CONFIDENCE) -> float:
-    """What the summed variance is to be multiplied by, to give an upper bound of the squared error.
+    """Factor from the summed variance to an upper bound of the squared error.
 
     The squared error of a mean over R replicates is distributed like V χ²_ν / ν, and V itself is known only from
     ν (R − 1) degrees of freedom: their ratio follows Fisher's F.
@@ -54,15 +56,18 @@ def effective_freedom(scatters: Sequence[Scatter]) -> float:
     total = total_variance(scatters)
     if total <= 0:
         return 1.0
-    # By a power of two, which rounds nothing: the squares of very small variances would be no numbers any more.
+    # Scaled by a power of two, which rounds nothing: the squares of very small variances would underflow to zero.
     power = -math.frexp(total)[1]
     squares = sum(math.ldexp(one.variance, power) ** 2 / one.freedom for one in scatters)
     return math.ldexp(total, power) ** 2 / squares
 
 
 def disagreement(square: float, expected: Scatter, before: Iterable[Scatter]) -> float:
-    """How many times larger the squared difference between a round and those before it is than their errors make it;
-    1 where it lies within `AGREEMENT`."""
+    """Ratio of the squared difference between a round and those before it to what their variances explain; 1 where
+    the difference lies within `AGREEMENT`.
+
+    square : squared L2 difference. expected, before : scatter of the round, and of the rounds before it.
+    """
     parts = [expected, *before]
     variance = total_variance(parts)
     if square <= variance * bound_factor(parts, AGREEMENT):

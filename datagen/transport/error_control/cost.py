@@ -11,38 +11,43 @@ import math
 from dataclasses import astuple, dataclass
 
 RAY = 4.0
-"""A vertex of a path, or a FoV point: its random numbers, ray and refined hit."""
+"""Cost of a vertex of a path, or of a FoV point: its random numbers, its ray and the hit refined in double
+precision."""
 BIN = 0.06
-"""An entry of a histogram: cleared, summed, squared and added up, once for each replicate."""
+"""Cost of an entry of a histogram: cleared, summed, squared and added up, once for each replicate."""
 CALL = 15_000.0
-"""One call of the tracing code for a run of laser points, whatever their number."""
+"""Cost of one call of the tracing code for a run of laser points, whatever their number."""
 ORDER_CALL = 0.2
-"""A call's share that each bounce order beyond the first adds."""
+"""Cost that each bounce order beyond the first adds to a call, relative to `CALL`."""
 OBSERVED_RAY = 1.7
-"""A ray from a hidden vertex to a second one, or a shadow ray from there to a laser point."""
+"""Cost of a ray from a hidden vertex to a second one, or of a shadow ray from there to a laser point."""
 CELL, CELL_RAY = 2.0, 3.0
-"""A cell spread over its arrival times, and a ray of it in the hierarchy."""
+"""Cost of a surface element whose light is spread over its arrival times, and of one of its shadow rays in the
+BVH."""
 CELL_PAIR, PAIR_RAY = 2.3, 2.0
-"""A pair of cells, looked at, cut or spread over its arrival times, and the ray between two cells."""
+"""Cost of a pair of elements that is looked at (then halved, or its light spread over its arrival times), and of the
+shadow ray between two elements."""
 SAMPLE = 20.0
-"""A path of the reference, by all its ways of finding one."""
+"""Cost of a path of `sampled_paths.py`, with all its ways of finding one."""
 TERM, TERM_EACH = 0.001, 0.03
-"""A bin of what arrives, multiplied with one path that leaves, and beginning with it."""
+"""Cost of the factorised form's direct sum: a bin of the arriving light times one path that leaves, and the start of
+each such product."""
 SPECTRUM, BUTTERFLY = 0.01, 0.0055
-"""A product of two spectra and a step of a transform, for each bin of twice the window."""
+"""Cost of the factorised form's convolution by Fourier transforms, for each bin of twice the window: a product of two
+spectra, and one of the log₂ steps of a transform."""
 
 
 @dataclass(frozen=True)
 class Work:
-    """What a piece of the transport did; entries and calls do not grow with the number of samples.
+    """Numbers of the steps that a piece of the transport took; entries and calls do not grow with the samples.
 
     Attributes
     ----------
-    rays : followed, or FoV points drawn.
-    connections : of a vertex with a FoV point.
-    entries : of histograms cleared, squared and added up.
-    calls : of the tracing code.
-    bright : those of the connections that could carry energy, each of which sent a shadow ray where occlusion counts.
+    rays : rays followed and FoV points drawn.
+    connections : connections of a vertex with a FoV point.
+    entries : entries of histograms that were cleared, squared and added up.
+    calls : calls of the tracing code.
+    bright : connections that could carry energy; each sent a shadow ray where occlusion counts.
     """
 
     rays: float = 0.0
@@ -55,26 +60,29 @@ class Work:
         return Work(*(a + b for a, b in zip(astuple(self), astuple(other), strict=True)))
 
     @property
-    def growing(self) -> float:
-        """The cost that is proportional to the number of samples."""
+    def marginal_cost(self) -> float:
+        """The part of the cost that is proportional to the number of samples."""
         return RAY * self.rays + self.connections
 
     @property
-    def standing(self) -> float:
-        """The cost that each replicate has, whatever its number of samples."""
+    def fixed_cost(self) -> float:
+        """The part of the cost that does not depend on the number of samples of each replicate."""
         return BIN * self.entries + CALL * self.calls
 
     @property
     def cost(self) -> float:
-        """All of it, in connections with their shadow rays."""
-        return self.growing + self.standing
+        """The whole cost, in units of one connection with its shadow ray."""
+        return self.marginal_cost + self.fixed_cost
 
 
 def factorised_work(
     lookins: int, observed: int, lasers: int, pixels: int, fov_samples: int, bins: int, replicates: int
 ) -> Work:
-    """The work of the factorised secondary: second hidden vertices shared by all lasers, their shadow rays, what
-    leaves towards the pixels, the paths near the laser points, and the convolution in time."""
+    """Work that the factorised secondary takes: second hidden vertices that all laser points share, their shadow
+    rays, the half paths towards the pixels, the half paths near the laser points, and the convolution in time.
+
+    lookins, observed : hidden vertices, and second hidden vertices for each of them.
+    """
     rays = lookins * (1.0 + OBSERVED_RAY / RAY * observed * (1 + lasers) + 4.0 * lasers)
     direct = fov_samples * (TERM_EACH + TERM * bins)
     spectral = 2 * bins * (SPECTRUM + BUTTERFLY * math.log2(2 * bins) * (1 / lasers + 1 / pixels))

@@ -1,6 +1,7 @@
-"""Rounds of samples: each goes where it lowers the variance most for its cost, until the error bound is met.
+"""Rounds of samples: each goes to the strata where it lowers the variance most for its cost, until the bound is met.
 
 A sample is a hidden vertex drawn for a laser point (in the factorised form for all of them), with the path behind it.
+A stratum is a set of components that are sampled together (`stratum.py`).
 
 With variance Vᵢ = gᵢ²/Nᵢ and cost cᵢ Nᵢ of a stratum, the least cost for a given total variance is at Nᵢ ∝ gᵢ/√cᵢ
 (Neyman 1934, with costs).
@@ -26,50 +27,60 @@ from datagen.transport.problem import Problem
 from datagen.transport.sampling import stream_seeds
 
 REPLICATES = 8
-"""Fewest replicates of a round; up to twice as many, so that samples for each can stay a power of two. Of half as
-many the scatter is known so badly that its confidence bound costs more samples than it saves."""
+"""Fewest replicates of a round; up to twice as many are taken, so that the samples of each can stay a power of two.
+From half as many the scatter is known so badly that its confidence bound costs more samples than it saves."""
 FIRST_SAMPLES, FIRST_EACH = 4096, (4, 64)
-"""Samples of a first round over all laser points and replicates; fewest and most of them of a laser point in each
+"""Samples of a first round over all laser points and replicates; fewest and most samples of one laser point in each
 replicate. Half as many leave the first variance so uncertain that the next round is sized by luck."""
 ROUNDS_AT_LEAST, ROUNDS_AT_MOST = 2, 64
+"""Fewest rounds of a stratum that matters, and most rounds of all: with one, nothing confirms the first variance; the
+second is ample, for each round may be `GROWTH` times as large as all before it."""
 MATTERS = 0.2
-"""Share of the variance from which a stratum needs `ROUNDS_AT_LEAST`: half of it would have strata of little light
-sampled twice, twice of it would leave surprises of a fifth of the error unconfirmed."""
+"""Share of the variance from which a stratum needs `ROUNDS_AT_LEAST`. Half of it would sample strata of little light
+twice; twice of it would leave a stratum with nearly half of the variance unconfirmed."""
 GROWTH = 8.0
-"""Most that one round may add to the cost, relative to all before it: the first variances are uncertain. Half of it
-takes a round more."""
+"""Largest cost of one round, relative to all rounds before it: the first variances are uncertain. Half of it takes a
+round more."""
 WITHOUT_VARIANCE = 0.05
-"""Share of the cost for a stratum whose variance seems to be nothing: it may not have been met yet."""
+"""Share of the cost that goes to a stratum whose variance seems to be zero: its light may not have been met yet. Half
+of it finds rare light later."""
 TOO_FEW = 0.05
-"""Additions below this share of what a stratum has are left for later."""
+"""Smallest addition to a stratum, relative to its samples so far; smaller ones are left for later. Half of it makes
+rounds that change little."""
 MARGIN = 0.9
-"""Share of the variance that would just do which a round aims at: it comes out above what was predicted as often as
-below, and a further round costs more than a few samples too many."""
+"""Variance that a round aims at, relative to the one that would just meet the target: variances come out above the
+predicted one as often as below, and a further round costs more than a few samples too many. Half of it doubles the
+samples."""
 NOISE_AT_MOST = 0.9
-"""Share of ‖mean‖² that may be noise when ‖truth‖² is estimated from it, so that the estimate stays positive."""
+"""Largest share of ‖mean‖² that is taken for noise when ‖truth‖² is estimated from it, so that the estimate stays
+positive. Half of it takes noise for light in the first rounds."""
 LEAST_LEFT = 0.1
-"""Share of the square of the target that is left to what is sampled at least, whatever the rest has used up."""
+"""Least share of the square of the target that is left to sampled light, whatever light by quadrature has used up.
+Half of it may cost twice the samples."""
 SEARCH_GROWTH, NOTHING_AFTER = 8, 1 << 16
-"""By how much a round grows while no light was met; samples in all after which there is none."""
+"""Factor by which a round grows while no light was met, and number of samples after which the search ends: there is
+no light. Half of the second misses light that is up to twice as frequent."""
 DARK = 1e-200
-"""Σ of squared photons per emitted photon up to which nothing is seen: the tail of a narrow lobe may bring e⁻⁵⁰⁰,
-whose square is no number to divide by."""
+"""Σ of squared photons per emitted photon up to which a transient counts as zero: the tail of a narrow lobe may bring
+e⁻⁵⁰⁰, whose square is too small a number to divide by."""
 LOOK_FROM = 10.0
-"""Cost of another method, in first rounds of path tracing, from which a first round is made to compare with."""
+"""Cost of another method, in units of a first round of path tracing, from which that first round is sampled to
+forecast the cost of path tracing. Half of it spends up to a fifth of the other method's cost on the comparison."""
 
 Additions = list[tuple[int, int]]
-"""For each stratum samples of each laser point in each replicate, 0 for none, and replicates."""
+"""What a round adds to each stratum: samples of each laser point in each replicate (0 for none), and replicates."""
 
 
 def sampled(problem: Problem, known: Known | None) -> Estimate:
     """The components of the problem, sampled until the error of the whole transient is within `Accuracy.target`.
 
     A first round of every stratum gives variances and costs. Each further round is sized by these, and adds to the
-    average with its number of samples as its weight. They end when the upper confidence bound of the error
-    (`confidence.py`) is within the target, after two rounds of all that matters at least; or, unmet, before
-    `Accuracy.max_lookins` are exceeded.
+    average with its number of samples as its weight. Rounds end when the upper confidence bound of the error
+    (`confidence.py`) is within the target and every stratum that matters has had two rounds; or, with the target not
+    met, before `Accuracy.max_lookins` are exceeded.
 
-    known : light that needs no samples; the target is for the sum with it, and its own error counts.
+    known : light that needs no samples. The target is for the sum of sampled and known light, and the error of the
+        known light counts.
     """
     target, budget = problem.accuracy.target, float(problem.accuracy.max_lookins)
     assert target is not None
@@ -123,15 +134,16 @@ def _samples(strata: list[Stratum]) -> float:
 
 
 def _uncertainty(strata: list[Stratum]) -> tuple[float, float, float]:
-    """The variance of the whole transient, summed over all bins, what bounds the squared error when multiplied with
-    it, and that factor after one more round, which makes the variance better known."""
+    """Variance of the whole transient, summed over all bins; factor from it to the upper bound of the squared error;
+    and that factor after one more round, when the variance is better known."""
     scatters = [replace(one, variance=one.variance * of.excess) for of in strata for one in of.scatters()]
     doubled = [replace(one, replicates=2 * one.replicates) for one in scatters]
     return total_variance(scatters), bound_factor(scatters), bound_factor(doubled)
 
 
 def _search(strata: list[Stratum], budget: float) -> Additions:
-    """A larger round where no light was met so far; none where enough were looked for."""
+    """A larger round for strata that have met no light so far; empty if `NOTHING_AFTER` samples have met none, or if
+    the round would exceed the budget."""
     more = [SEARCH_GROWTH * stratum.rounds[-1].each for stratum in strata]
     rays = sum(of.rays + of.rays_per_sample * each * REPLICATES for of, each in zip(strata, more, strict=True))
     lasers = len(strata[0].problem.points.part)
@@ -141,8 +153,8 @@ def _search(strata: list[Stratum], budget: float) -> Additions:
 
 
 def _confirming(strata: list[Stratum]) -> Additions:
-    """A little more, a quarter, for strata that matter and have had only their first round, which nothing has
-    confirmed yet; none where all are confirmed."""
+    """A quarter more samples for strata that matter and have had only their first round, which nothing has confirmed
+    yet; empty if all are confirmed."""
     variances = [total_variance(stratum.scatters()) for stratum in strata]
     once = [len(of.rounds) < ROUNDS_AT_LEAST and v > MATTERS * sum(variances)
             for of, v in zip(strata, variances, strict=True)]  # fmt: skip
@@ -151,7 +163,8 @@ def _confirming(strata: list[Stratum]) -> Additions:
 
 
 def _up_to(stratum: Stratum, samples: float) -> tuple[int, int]:
-    """The addition that brings a stratum to about so many samples of each laser point in all."""
+    """Samples of each laser point in each replicate, and replicates, that bring a stratum to about `samples` of each
+    laser point over all rounds."""
     new = samples - stratum.samples
     if new <= TOO_FEW * stratum.samples:
         return 0, REPLICATES
@@ -160,8 +173,8 @@ def _up_to(stratum: Stratum, samples: float) -> tuple[int, int]:
 
 
 def _next_round(strata: Sequence[Stratum], goal: float, budget: float) -> Additions:
-    """The cheapest round that is predicted to bring the variance down to `goal`, or as far towards it as a round may
-    go; none where the rays that are left allow nothing."""
+    """The cheapest round that is predicted to bring the variance down to `goal`, or the largest round allowed if that
+    is smaller; empty if the rays that are left allow no round."""
     worth = [math.sqrt(of.variance_of_one / max(of.cost_per_sample, 1e-9)) for of in strata]
     if not any(worth):
         return []
@@ -200,7 +213,7 @@ def _next_round(strata: Sequence[Stratum], goal: float, budget: float) -> Additi
 
 
 def _estimate(problem: Problem, strata: list[Stratum], rounds: int, bound: float, outcome: str) -> Estimate:
-    """The mean over all rounds, and what it cost."""
+    """The estimate with the mean over all rounds, the standard error, and the record of what was spent."""
     components: dict[str, Floats] = {}
     parts: dict[str, Floats] = {}
     variance, overflow = np.zeros(problem.capture.shape), np.zeros(problem.capture.shape[:2])
@@ -208,48 +221,52 @@ def _estimate(problem: Problem, strata: list[Stratum], rounds: int, bound: float
     for stratum in strata:
         variance += stratum.variance / stratum.samples**2
         overflow += stratum.overflow / stratum.samples
-        found, of_parts = split_rows([row / stratum.samples for row in stratum.rows], stratum.problem.tally_rows)
+        of_components, of_parts = split_rows(
+            [row / stratum.samples for row in stratum.rows], stratum.problem.tally_rows
+        )
         parts |= of_parts
-        for name, values in found.items():
+        for name, values in of_components.items():
             components[name] = components[name] + values if name in components else values
             samples[name] = samples.get(name, 0.0) + stratum.samples
-            costs[name] = costs.get(name, 0.0) + stratum.work.cost / len(found)
+            costs[name] = costs.get(name, 0.0) + stratum.work.cost / len(of_components)
             way = "walk" if stratum.observed is None else "factorised"
             ways[name] = "walk + factorised" if ways.get(name, way) != way else way
             points[name] = int(stratum.problem.accuracy.fov_samples)
-    total, asked = sum(costs.values()), problem.tally_rows.components
+    total, requested = sum(costs.values()), problem.tally_rows.components
     spend = Spend(
-        lookins={name: samples[name] for name in asked}, share={name: costs[name] / total for name in asked},
-        way={name: ways[name] for name in asked}, fov_samples={name: points[name] for name in asked}, rounds=rounds,
-        cost=total, outcome=outcome,
+        lookins={name: samples[name] for name in requested},
+        share={name: costs[name] / total for name in requested},
+        way={name: ways[name] for name in requested}, fov_samples={name: points[name] for name in requested},
+        rounds=rounds, cost=total, outcome=outcome,
     )  # fmt: skip
     target, work = problem.accuracy.target, sum((of.work for of in strata), start=Work(calls=0))
     return Estimate(
-        {name: components[name] for name in asked}, parts, np.sqrt(variance), overflow, spend, bound,
+        {name: components[name] for name in requested}, parts, np.sqrt(variance), overflow, spend, bound,
         target is not None and bound <= target, rays=rays_of(problem, work),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """What sampling all components of a problem will cost, with an L2 error of `wanted` photons."""
+    """The cost of sampling all components of a problem until their L2 error is `wanted` photons."""
 
     problem: Problem
     wanted: float
 
     def costs_less_than(self, cost: float) -> bool:
-        """Whether it costs less. It is looked into where that costs little beside."""
+        """Whether sampling costs less than `cost`; False, without a look, where a first round would not be cheap
+        beside `cost`."""
         samples, capture = _first_samples(self.problem) * REPLICATES, self.problem.capture
         vertices = samples * len(self.problem.points.part)
         # Two rays of each sample; and FoV points, which the laser points share.
         rays = 2.0 * vertices + samples * len(capture.sensor.pixels)
-        look = Work(rays, vertices * capture.shape[1], REPLICATES * math.prod(capture.shape)).cost
-        return cost > LOOK_FROM * look and cost > self.cost
+        first_round = Work(rays, vertices * capture.shape[1], REPLICATES * math.prod(capture.shape)).cost
+        return cost > LOOK_FROM * first_round and cost > self.cost
 
     @cached_property
     def cost(self) -> float:
-        """The cost by the variance of a first round, which falls with the number of samples."""
+        """The cost, extrapolated from a first round whose variance falls inversely with the number of samples."""
         stratum = Stratum(with_usual_fov_samples(self.problem))
         stratum.sample(_first_samples(self.problem), REPLICATES, next(_seeds(self.problem.seed)))
         variance = total_variance(stratum.scatters())
-        return stratum.work.cost + stratum.work.growing * variance / self.wanted**2
+        return stratum.work.cost + stratum.work.marginal_cost * variance / self.wanted**2

@@ -1,4 +1,4 @@
-"""A stratum: components of the transient that are sampled together, and the rounds that gave them their samples."""
+"""A stratum: components of the transient that are sampled together, with the rounds of samples that they have had."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from datagen.transport.path_tracing.replicate_spread import Sketch
 from datagen.transport.problem import Problem
 
 CONVERGENCE = 1.25
-"""α in variance ∝ n^−α, by which a round is sized: 1 for independent samples, up to 3 for smooth integrands, which
-bins make rough. With half as much, rounds take up to twice the samples they need; with twice, rounds fall
-short."""
+"""α in variance ∝ n^−α, from which the size of a round follows: 1 for independent samples, up to 3 for smooth
+integrands, which bins make rough. With half of it, rounds take up to twice the samples that they need; with twice,
+rounds fall short."""
 OBSERVED = 64
 """Second hidden vertices for each hidden vertex in the factorised secondary. Half as many halve its cost and nearly
 double its variance."""
@@ -27,21 +27,22 @@ FACTORISED_FROM = 1 << 17
 """`Accuracy.max_lookins` from which light beside the field of view is left to the factorised form: it draws
 `OBSERVED` rays for each hidden vertex, too many for a smaller limit."""
 FINE_PATCH = 4.0
-"""Patches smaller than so many bins (or hundredths of the scene) look the same all over: one FoV point does."""
+"""Size of a pixel's patch, in bins or in hundredths of the scene, up to which one FoV point for each vertex is
+enough: the light is the same all over the patch. Half of it draws more FoV points without need."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
-"""FoV points of a vertex in a pixel whose patch is larger, and most of them over all pixels. Half as many follow more
-rays for the same light, twice as many connect to points that tell the same."""
+"""FoV points that a vertex connects to in a pixel whose patch is larger, and most of them over all pixels. With half
+as many, the same light takes more rays; with twice as many, vertices connect to points that add no information."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """What one round gave.
+    """Size and scatter of one round.
 
     Attributes
     ----------
-    samples : of each laser point, over all replicates.
-    each : of each laser point in each replicate.
-    scatter : of the round's mean.
+    samples : samples of each laser point, over all replicates.
+    each : samples of each laser point in each replicate.
+    scatter : variance of the round's mean, with its degrees of freedom.
     """
 
     samples: float
@@ -51,21 +52,23 @@ class Round:
 
 @dataclass
 class Stratum:
-    """Some components, found together, and all that is known of them so far.
+    """Some components that are sampled together, with the sums over all their rounds so far.
 
     Rounds are averaged with their numbers of samples as weights, never with weights from their own scatter: that
     would favour rounds that happened to miss the bright rare paths.
 
     Attributes
     ----------
-    problem : with the components of this stratum and its FoV points for each vertex.
+    problem : the problem with the components of this stratum alone, and its number of FoV points for each vertex.
     observed : second hidden vertices for each hidden vertex, where the factorised form finds the secondary; None for
         path tracing.
-    carriers : (K,) parts whose hidden vertices the factorised form takes.
+    carriers : (K,) whether the factorised form takes hidden vertices on a part.
     rows : sums over the rounds of samples × mean, one (L, P, T) array for each row of the tally.
-    variance, overflow : likewise, with squared weights for the variance.
-    work : all that was done.
-    excess : by how much the last round disagreed with those before it, ≥ 1.
+    variance : (L, P, T) sum over the rounds of samples² × variance of the mean.
+    overflow : (L, P) sum over the rounds of samples × overflow.
+    work : all steps so far.
+    excess : squared difference between the last round and those before it, relative to what their scatter explains,
+        at least 1.
     """
 
     problem: Problem
@@ -101,35 +104,35 @@ class Stratum:
     @property
     def cost_per_sample(self) -> float:
         """Cost of one sample of each laser point."""
-        return self.work.growing / max(self.samples, 1.0)
+        return self.work.marginal_cost / max(self.samples, 1.0)
 
     @property
     def cost_per_replicate(self) -> float:
         """Cost of one replicate, whatever its samples."""
-        return self.work.standing / max(sum(one.scatter.replicates for one in self.rounds), 1)
+        return self.work.fixed_cost / max(sum(one.scatter.replicates for one in self.rounds), 1)
 
     @property
     def variance_of_one(self) -> float:
-        """Variance times samples, by the last round."""
+        """Variance of one sample: that of the last round's mean times its samples."""
         last = self.rounds[-1]
         return last.scatter.variance * last.samples
 
     def scatters(self) -> list[Scatter]:
-        """The rounds' parts in the error of the mean over them."""
+        """The contribution of each round to the variance of the mean over all rounds."""
         total = self.samples
         return [
             replace(one.scatter, variance=(one.samples / total) ** 2 * one.scatter.variance) for one in self.rounds
         ]
 
     def variance_after(self, each: int, replicates: int) -> float:
-        """The variance to be expected after one more round of so many samples."""
+        """Variance predicted after one more round of `each` samples of each laser point in each of `replicates`."""
         last, more = self.rounds[-1].scatter, each * replicates
         of_round = last.variance * last.replicates / replicates * (self.rounds[-1].each / max(each, 1)) ** CONVERGENCE
         old = self.samples**2 * total_variance(self.scatters())
         return float(self.excess * (old + more**2 * of_round) / (self.samples + more) ** 2)
 
     def sample(self, each: int, replicates: int, seed: int) -> None:
-        """One more round: `each` samples of each laser point in each of `replicates`."""
+        """Add one more round: `each` samples of each laser point in each of `replicates`."""
         sketch, samples, before = Sketch(replicates), each * replicates, self.scatters()
         got = self._average(samples, replicates, seed, sketch)
         variance = float((got.stderr**2).sum())
@@ -145,6 +148,7 @@ class Stratum:
         self.rounds.append(Round(float(samples), each, scatter))
 
     def _average(self, samples: int, replicates: int, seed: int, sketch: Sketch) -> Average:
+        """The mean of one round, by path tracing or by the factorised form; `sketch` takes in its replicates."""
         counts = replace(self.problem.accuracy, target=None, part_target=None, lookins=samples, replicates=replicates)
         problem = replace(self.problem, accuracy=counts, seed=seed)
         if self.observed is None:
@@ -154,14 +158,14 @@ class Stratum:
 
 @dataclass(frozen=True)
 class Known:
-    """A part of the transient (L, P, T) that needs no samples, and its L2 error."""
+    """Light (L, P, T) that needs no samples because quadrature found it, and its L2 error."""
 
     light: Floats
     error: float
 
 
 def square_norm(strata: list[Stratum], known: Known | None = None) -> float:
-    """‖mean‖² of the sum of all strata and of what is known, laser point by laser point to save memory."""
+    """‖mean‖² of the sum of all strata and of the known light, added up laser point by laser point to save memory."""
     norm = 0.0
     for laser in range(strata[0].problem.capture.shape[0]):
         total = 0.0 if known is None else known.light[laser]
@@ -171,10 +175,11 @@ def square_norm(strata: list[Stratum], known: Known | None = None) -> float:
 
 
 def strata_of(problem: Problem) -> list[Stratum]:
-    """What gets samples of its own: the direct return, the factorised secondary, and all that path tracing finds.
+    """The strata of a problem: the direct return, the factorised secondary, and all light that path tracing finds.
 
     The secondary is factorised where only the strongest paths are asked for, and where surfaces right beside the
-    field of view bring much of it: path tracing seldom goes there, and its scatter tells nothing of what it missed.
+    field of view bring much of it: path tracing seldom goes there, and the scatter of its samples says nothing of
+    light that they have missed.
     """
     accuracy, asked = problem.accuracy, problem.tally_rows.components
     assert accuracy.target is not None
@@ -197,14 +202,14 @@ def strata_of(problem: Problem) -> list[Stratum]:
 
 
 def of_components(problem: Problem, components: tuple[str, ...], walked: Bools) -> Problem:
-    """The same problem for some of its components."""
+    """The same problem for some of its components; `walked` (K,) as in `Problem`."""
     parts = problem.tally_rows.parts if "primary" in components else ()
     return replace(problem, tally_rows=replace(problem.tally_rows, components=components, parts=parts), walked=walked)
 
 
 def with_usual_fov_samples(problem: Problem) -> Problem:
-    """The same problem with its counts still to be chosen, but for the FoV points for each vertex and pixel: one
-    where patches are small, several for few pixels whose patches are large."""
+    """The same problem without a target and with its FoV points for each vertex and pixel chosen: one where patches
+    are small, several for few pixels whose patches are large. The other counts are still to be chosen."""
     room, fov_samples = max(USUAL_CONNECTIONS // problem.capture.shape[1], 1), 1
     if problem.patch_detail(np.arange(len(problem.patches.radius))) >= FINE_PATCH:
         fov_samples = min(USUAL_FOV_SAMPLES, 1 << room.bit_length() - 1)

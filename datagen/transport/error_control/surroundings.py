@@ -1,4 +1,4 @@
-"""What stands right beside the field of view, where path tracing from the laser seldom comes by."""
+"""How much of what the field of view sees stands right beside it, where path tracing from the laser seldom gets."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from datagen.transport.problem import Problem
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 
 PIXELS, POINTS, RAYS = 8, 16, 64
-"""Pixels looked at, FoV points of each, and rays from each point: the share is known to some hundredths; with half as
-many of each, to a tenth."""
+"""Pixels, FoV points of each, and rays from each point that the share is estimated from, to some hundredths; with
+half as many of each, to a tenth."""
 VERTICES_KNOWN = 1024
-"""Vertices of path tracing, spread over all surfaces: an area that has one of them on average is taken to be known.
-Half as many call √2 times as wide a margin near."""
+"""Vertices of path tracing, spread over all surfaces: path tracing is taken to know an area that has one of them on
+average. With half as many, what is near reaches √2 times as far."""
 CONTACT = 0.1
-"""Share of what the field of view sees from which surfaces right beside it decide how the secondary is found. Half of
-it calls for the factorised form where path tracing does as well; twice of it leaves light that nobody has met."""
+"""Share of what the field of view sees that, if it stands right beside the field of view, calls for the factorised
+form of the secondary. Half of it does so where path tracing does as well; twice of it leaves light that no path
+meets."""
 
 
 def surroundings(problem: Problem, seed: int) -> float:
-    """Share, by cosine, of what the field of view sees that is so near that path tracing would seldom be there.
+    """Share, weighted by the cosine, of what the field of view sees that lies within √(area of the scene /
+    `VERTICES_KNOWN`): so near that path tracing seldom has a vertex there.
 
     A pixel at the foot of another wall gets most of its secondary from the few centimetres beside it. Path tracing
-    that has not been there yet knows nothing of that light, and neither does its scatter; the factorised form starts
-    from the FoV points and finds it at once. Near is what lies within √(area of the scene / `VERTICES_KNOWN`).
+    without a vertex there misses that light, and the scatter of its samples does not show that it is missing; the
+    factorised form starts from the FoV points and finds the light at once.
     """
     pixels = np.arange(len(problem.patches.radius))
     few = np.unique(pixels[np.linspace(0, len(pixels) - 1, min(len(pixels), PIXELS)).astype(int)])

@@ -63,7 +63,7 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
         quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
         if choice is None or quartering is None:
             return None
-        if quartering.levels <= trial.levels or quartering.gain <= asked.target * choice.whole:
+        if quartering.levels <= trial.levels or quartering.change <= asked.target * choice.norm:
             break
         # Smaller footprints see light that those of the trial missed (a narrow lobe passes between their points): how
         # finely its elements have to be cut is not known yet.
@@ -74,11 +74,11 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     seen = gathering.seen(pairs, levels, quartering.edge_levels)
     found = gathering.gathered(pairs, seen, cutting, rows)
     shape, names = task.capture.shape, task.scene.part_names
-    # Those of elements and of footprints have nothing to do with each other.
-    errors = np.hypot(choice.still, quartering.of_parts) / np.where(choice.held, choice.own, 1.0)
+    # Errors of elements and of footprints are independent of each other, so their squares add up.
+    errors = np.hypot(choice.group_error, quartering.group_error) / np.where(choice.claimed, choice.group_norm, 1.0)
     return Primary(
         [np.ascontiguousarray(found.histogram[:, k]).reshape(shape) for k in range(rows.max() + 1)],
-        found.overflow.reshape(shape[:2]), math.hypot(choice.error, quartering.error) / choice.whole,
-        {names[k]: float(errors[g]) for k, g in enumerate(trial.group) if choice.held[g]},
+        found.overflow.reshape(shape[:2]), math.hypot(choice.error, quartering.error) / choice.norm,
+        {names[k]: float(errors[g]) for k, g in enumerate(trial.group) if choice.claimed[g]},
         trial.work.cells + int(found.cells.sum()), trial.work.rays + int(found.rays.sum()),
     )  # fmt: skip
