@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import random
 import re
+import secrets
 import signal
 import subprocess
 import sys
@@ -35,6 +36,13 @@ LATEST_S = 10.0
 """Signals come up to so many seconds after the start: half go to imports and to workers that are starting."""
 PATIENCE_S = 60.0
 ONE_LINE = re.compile(r"datagen: (interrupted|terminated); what is committed stays, run the same command again .*")
+NAMED = """
+import runpy, sys
+from multiprocessing.process import current_process
+current_process()._config["semprefix"] = sys.argv.pop(1)
+runpy.run_module("datagen", run_name="__main__", alter_sys=True)
+"""
+"""Runs datagen with a prefix of its own for the names of semaphores: other builds of this machine have theirs."""
 PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation|\d+ of \d+ s.*|")
 
 
@@ -48,15 +56,6 @@ def processes_of(session: int) -> list[str]:
             if int(of_session) == session and state != "Z":
                 found.append(f"{folder.name} {name}")
     return found
-
-
-def shared_by_nobody() -> set[str]:
-    """Named semaphores and shared memory that no living process has mapped."""
-    names = {path.name for path in Path("/dev/shm").glob("*")}
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        with suppress(OSError):
-            names -= {line.rpartition("/")[2] for line in maps.read_text().splitlines() if "/dev/shm/" in line}
-    return names
 
 
 def half_written(root: Path) -> set[str]:
@@ -83,11 +82,12 @@ def is_ready(child: subprocess.Popen[str]) -> bool:
 
 def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> list[str] | None:
     """A line for each error of a build that got the signal; None if the build ended before the signal."""
-    config, temporary, shared = root.with_suffix(".yaml"), root.with_suffix(".tmp"), shared_by_nobody()
+    config, temporary = root.with_suffix(".yaml"), root.with_suffix(".tmp")
+    prefix = f"/{secrets.token_hex(4)}"
     config.write_text(CONFIG)
     temporary.mkdir(exist_ok=True)
     child = subprocess.Popen(
-        [sys.executable, "-m", "datagen", "build", str(config), str(root), "--workers", "2"],
+        [sys.executable, "-c", NAMED, prefix, "build", str(config), str(root), "--workers", "2"],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": str(temporary)},
         # Where the tests run in the background of a shell, Ctrl-C is ignored, and children would inherit that.
@@ -113,8 +113,7 @@ def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> 
     while (left := processes_of(child.pid)) and time.monotonic() < began + PATIENCE_S:
         time.sleep(0.02)
     wrong += [f"left process {process}" for process in left]
-    # Other builds of this machine may end between the two readings: what stays is there a second time.
-    wrong += [f"left in /dev/shm: {name}" for name in (shared_by_nobody() & shared_by_nobody()) - shared]
+    wrong += [f"left in /dev/shm: {path.name}" for path in Path("/dev/shm").glob(f"sem.{prefix[1:]}*")]
     wrong += [f"left a temporary file: {path}" for path in temporary.iterdir()]
     wrong += [f"left half written: {name}" for name in half_written(root)]
     return [f"{kind.name} after {delay:.2f} s ({took:.1f} s to end): {line}" for line in wrong]
