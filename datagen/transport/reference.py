@@ -33,12 +33,11 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
-AT_ONCE = 1 << 16
-"""Samples traced in one call, which bounds the memory; half as many make twice the calls."""
 GOES_ON = 0.5
 """Chance to follow a path beyond each bounce after the fourth, where all orders are asked for. The mean is the same
 for any chance; half of it makes paths shorter and the light of many bounces noisier."""
@@ -216,7 +215,7 @@ def reference(
     parts = len(scene.part_names)
     rows, values = parts + 3, int(np.prod(shape))
     light, squares, overflow = np.zeros(rows * values), np.zeros(values), np.zeros(values // axis.bins)
-    at_once = max(AT_ONCE // samples, 1)
+    at_once = max(VALUES_AT_ONCE // (64 * samples), 1)
     for replicate in range(replicates):
         before = light.reshape(rows, values).sum(axis=0)
         for start in range(0, len(pairs), at_once):

@@ -44,6 +44,7 @@ from datagen.transport.factorised.half_paths import (
     observing_rays,
 )
 from datagen.transport.fields_of_view import FovPool, fov_pool
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.path_tracing.averages import Average
 from datagen.transport.path_tracing.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
@@ -58,17 +59,9 @@ from datagen.transport.problem import Problem
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.units import path_from_time
 
-RAYS_PER_CHUNK = 1 << 17
-"""Rays from lookins traced in one call, which bounds the memory. Half as many make twice the calls."""
 WALKS_PER_LOOKIN = 4
 """Paths traced from each laser point for each lookin. Only those whose second hidden vertex lies near the laser point
 count and cost more than two rays. Half as many double the variance of that light."""
-HISTOGRAM_VALUES_AT_ONCE = 1 << 22
-"""Histogram entries of path tracing filled at once (32 MiB), which bounds the memory. Half as many make twice the
-calls."""
-FOV_POINTS_PER_POOL = 1 << 16
-"""FoV points of all pixels at most, in blocks that lookins share. With half as many, twice as many lookins share a
-block and its noise."""
 RAYS_FROM_LASER_POINT = 1 / 8
 """Rays drawn from each laser point, as a share of the number of lookins or of observed points, whichever is larger.
 Half as many double the variance of light by observed points near the laser point, which other rays seldom meet."""
@@ -193,7 +186,7 @@ def _add_group(own: _Secondary, lasers: Ints, pixels: Ints, count: int, replicat
     seeds = stream_seeds(own.task.seed, LightStream.FACTORISED_SECOND, replicate, int(lasers[0]))
     points = scrambled_sobol(seeds, own.observed, 2)[0]
     rays = max(own.observed + max(len(one.lit_part) for one in vicinities), fov.weight.size // blocks)
-    size = max(1, RAYS_PER_CHUNK // rays)
+    size = max(1, VALUES_AT_ONCE // (32 * rays))
     for start in range(0, len(lookins.part), size):
         _add_lookins(own, fov, lookins.take(slice(start, start + size)), points, count, lasers, vicinities)
     if own.near_square > 0:
@@ -206,7 +199,7 @@ def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tupl
     The number is a power of two, so that the points of all blocks together cover a pixel evenly. Within a block, over
     all pixels, a lookin is drawn from a FoV point in proportion to the point's weight times its albedo.
     """
-    affordable = FOV_POINTS_PER_POOL // (len(pixels) * task.accuracy.fov_samples)
+    affordable = VALUES_AT_ONCE // 64 // (len(pixels) * task.accuracy.fov_samples)
     blocks = 1 << max(0, min(count, affordable).bit_length() - 1)
     pool = fov_pool(
         task.caster, task.scene, task.capture.sensor, task.cones, pixels, task.accuracy.fov_samples, blocks,
@@ -304,7 +297,7 @@ def _walk_near(own: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count
     streams = Streams.of(seed, np.array([replicate]), np.arange(len(task.points.part)))
     splits = np.zeros(len(task.materials.kind), np.int64)
     axis, walks = task.capture.time, WALKS_PER_LOOKIN * count
-    at_once = max(1, min(RAYS_PER_CHUNK // walks, HISTOGRAM_VALUES_AT_ONCE // (len(pixels) * bins)))
+    at_once = max(1, min(VALUES_AT_ONCE // (32 * walks), VALUES_AT_ONCE // (len(pixels) * bins)))
     for run in runs_of(lasers, at_once):
         lookins = draw_hidden_vertices(
             task.caster, task.scene, task.materials, task.points, run, walks, nothing, streams, 2

@@ -11,21 +11,17 @@ from datagen.records import Spend
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.error_control.cost import Work
 from datagen.transport.fields_of_view import FovPool
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.path_tracing.connections import Tally
 from datagen.transport.path_tracing.replicate_spread import Sketch, standard_error
-from datagen.transport.path_tracing.trace import FOV_POINTS_PER_POOL, blocks_for, pool_for, trace_chunk
+from datagen.transport.path_tracing.trace import blocks_for, pool_for, trace_chunk
 from datagen.transport.path_tracing.vertices import runs_of
 from datagen.transport.problem import Problem, TallyRows
 from datagen.transport.sampling import Streams
 
-LOOKINS_PER_CHUNK = 1 << 17
-"""First hidden vertices traced in one call, over as many laser points as fit: some 30 MiB. Half as many make twice
-the calls."""
 LOOKINS_TOGETHER = 1 << 14
 """First hidden vertices up to which several replicates share one call. With more of them the call itself costs
 little; half as many make up to twice the calls where replicates are small."""
-HISTOGRAM_VALUES_PER_CHUNK = 1 << 22
-"""Histogram entries filled at once (32 MiB), over as many laser points as fit; half as many make twice the calls."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +122,10 @@ def _traced(problem: Problem, count: int, replicates: Ints) -> Iterator[tuple[in
     confocal = problem.capture.pairing == "confocal"
     seen = existing if confocal else np.arange(pixels)
     fov_points = len(seen) * problem.accuracy.fov_samples * blocks_for(problem, seen, count)
-    values = HISTOGRAM_VALUES_PER_CHUNK // (pixels * problem.tally_rows.count * bins)
+    values = VALUES_AT_ONCE // (pixels * problem.tally_rows.count * bins)
     together = min(LOOKINS_TOGETHER // count, values) // len(existing)
-    together = max(1, min(together, FOV_POINTS_PER_POOL // fov_points, len(replicates)))
-    size = max(1, min(LOOKINS_PER_CHUNK // count, values) // together)
+    together = max(1, min(together, VALUES_AT_ONCE // (8 * fov_points), len(replicates)))
+    size = max(1, min(VALUES_AT_ONCE // (32 * count), values) // together)
     for few in np.split(replicates, range(together, len(replicates), together)):
         # Laser points that all pixels see share their FoV points; confocally each has those of its own pixel.
         shared, drawn = None, Work(calls=0)

@@ -30,12 +30,9 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import put
 from datagen.transport.brdf import LAMBERTIAN, Materials, MaterialTable, Vector, dot, evaluate, pdf
 from datagen.transport.fields_of_view import FovPool, PixelCones, PixelPatches
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.path_tracing.vertices import LaserPoints, Vertices, at
 from datagen.transport.visibility.raycast import Hits, Raycaster, lifted_and_scaled
-
-CONNECTIONS_PER_BATCH = 1 << 19
-"""Connections whose shadow rays are traced in one call, 24 MiB. Half as many make twice the calls, whose fixed cost
-is negligible either way."""
 
 
 class Clock(NamedTuple):
@@ -184,7 +181,7 @@ class Receiver:
             block += blocks * self.pool_set[vertices.laser - self.rows.first_laser]
         count, bright = len(vertices.laser), 0
         per_vertex = (1 if self.rows.confocal else self.rows.pixels) * self.points_per_vertex
-        per_batch = max(1, min(CONNECTIONS_PER_BATCH // per_vertex, count))
+        per_batch = max(1, min(VALUES_AT_ONCE // (8 * per_vertex), count))
         waiting = Waiting.room(per_batch * per_vertex)
         frame = Frame(self.caster.offset_m, np.append(self.caster.center, self.caster.half_extent_m))
         for start in range(0, count, per_batch):

@@ -14,6 +14,7 @@ from datagen.seeding import LightStream
 from datagen.transport.error_control import cost
 from datagen.transport.error_control.cost import Work
 from datagen.transport.fields_of_view import FovPool, fov_pool
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.path_tracing import vertices as ends
 from datagen.transport.path_tracing.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.path_tracing.vertices import SOBOL_STEPS
@@ -21,9 +22,6 @@ from datagen.transport.problem import Problem, component_of
 from datagen.transport.sampling import Streams
 from datagen.units import path_from_time
 
-FOV_POINTS_PER_POOL = 1 << 19
-"""FoV points in memory at once, over all pixels of a chunk (50 MiB). With half as many, twice as many vertices share
-each block and its noise."""
 ROULETTE_FROM = 4
 """Number of bounces from which Russian roulette may end paths, when all orders are asked for. Lower orders bring most
 of the light; half of it would end them early and add noise to the primary."""
@@ -147,7 +145,7 @@ def blocks_for(problem: Problem, pixels: Ints, count: int) -> int:
     samples = problem.accuracy.fov_samples
     across = problem.patch_detail(pixels)
     useful = 64 * (1 + across) ** 2 / samples
-    affordable = FOV_POINTS_PER_POOL / (len(pixels) * samples)
+    affordable = VALUES_AT_ONCE / (8 * len(pixels) * samples)
     return 1 << max(0, int(min(count, affordable, useful)).bit_length() - 1)
 
 

@@ -24,6 +24,7 @@ from datagen.seeding import LightStream
 from datagen.transport.brdf.table import LAMBERTIAN, OREN_NAYAR
 from datagen.transport.error_control.cost import CELL_PAIR, PAIR_RAY
 from datagen.transport.error_control.refinement import by_light, spread_evenly
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
 from datagen.transport.quadrature.element_pairs import DEEPEST, EndPairs, Found, Rules, arrive, join
 from datagen.transport.quadrature.gathering import Gathering, patches_of
@@ -62,9 +63,7 @@ PATCH_LEVELS, PATCHES_SHARE, PATCHES_AT_MOST, FROM_QUARTERS = 3, 0.25, 0.5, 4 / 
 """Most times that pixels are quartered; share of the error asked that the size of footprints may cause, and the same
 for the finest footprints; and error of footprints, relative to the change when they are quartered once more (1 + 1/4
 + 1/16 + … = 4/3, for it is of second order). Half of the shares takes up to twice the footprints."""
-CONFOCAL_AT_ONCE, EXHAUSTIVE_AT_ONCE, PAIRS_AT_ONCE = 512, 4096, 1 << 18
-"""Pairs of laser point and pixel whose elements are in memory at once, for confocal and exhaustive scans, and the
-same for pairs of elements. Half as many take half the memory and more calls."""
+ELEMENT_PAIRS_AT_ONCE = VALUES_AT_ONCE // 16
 ROUNDING = 1e-12
 """Rounding error of the running sums: bins below this share of a histogram's highest bin, and overflow below this
 share of all light, count as zero."""
@@ -350,7 +349,7 @@ class _Scan:
     """Mean fraction of an end's light that surfaces catch: in the open most of the light meets nothing."""
     too_dear: Callable[[float], bool] = lambda cost: False
     """Whether a cost is too much; the search for pairs ends at twice such a cost."""
-    found: Found = field(default_factory=lambda: Found.room(PAIRS_AT_ONCE))
+    found: Found = field(default_factory=lambda: Found.room(ELEMENT_PAIRS_AT_ONCE))
     """Memory for pairs of elements."""
 
     @classmethod
@@ -374,7 +373,8 @@ class _Scan:
         bins = self.task.capture.time.bins
         knots, photons = np.zeros((len(pairs), bins + 3)), np.zeros(len(pairs))
         gain, caught, near, count, rays = 0.0, 0.0, 0.0, 0, 0
-        at_once = CONFOCAL_AT_ONCE if self.task.capture.pairing == "confocal" else EXHAUSTIVE_AT_ONCE
+        # An end of an exhaustive scan is in many pairs, so that they have fewer ends to hold.
+        at_once = VALUES_AT_ONCE // (8192 if self.task.capture.pairing == "confocal" else 1024)
         for start in range(0, len(pairs), at_once):
             run = slice(start, start + at_once)
             gain_of_run, share, doubt, pairs_of_run, shadow_rays = self._add(
@@ -427,7 +427,7 @@ class _Scan:
             first + np.arange(len(pairs)),
         )  # fmt: skip
         rules = Rules(
-            same, allowed, PAIRS_AT_ONCE, attenuation, per_metre, caster.offset_m,
+            same, allowed, ELEMENT_PAIRS_AT_ONCE, attenuation, per_metre, caster.offset_m,
             np.array([*caster.center, caster.half_extent_m]),
         )  # fmt: skip
         at, waiting, count, near = (0, -1, -1), np.empty((DEEPEST + 2, 2), np.int64), 0, 0.0

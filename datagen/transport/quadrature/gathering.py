@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
 from datagen.seeding import LightStream
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
 from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
@@ -30,8 +31,6 @@ LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
 measured for that; and size, relative to the scene and to the narrowest lobe, up to which a pixel counts as a point
 and is not quartered. With one quartering instead of two, trials of a pixel inside an open ball agreed with each
 other on 3 % too little light."""
-PATCHES_AT_ONCE = 1 << 17
-"""Footprints held in memory at once; half of it takes as long and half the memory."""
 RAY_FOOTPRINT = 0.35
 """Largest footprint that is connected with the hit of a ray, relative to its distance from there and to the square
 root of the error asked of an object's light. With twice as much, a pixel on the facets of a ball around it was 2 %
@@ -246,7 +245,7 @@ class Gathering:
         return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
 
     def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
-        """Footprints of the pixels of some pairs (n, 2), in batches of at most `PATCHES_AT_ONCE` footprints.
+        """Footprints of the pixels of some pairs (n, 2), in batches that have room in memory.
 
         levels : times that pixels which see one flat surface are quartered. edge_levels : the same for pixels at
         edges; `self.edge_levels()` if None.
@@ -255,7 +254,7 @@ class Gathering:
         for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
             some = some[np.argsort(pairs[some, 1], kind="stable")]
             first = np.flatnonzero(np.diff(pairs[some, 1], prepend=-1))
-            for which in np.split(some, first[:: max(PATCHES_AT_ONCE >> 2 * quartered, 1)][1:]):
+            for which in np.split(some, first[:: max(VALUES_AT_ONCE // 32 >> 2 * quartered, 1)][1:]):
                 if len(which):
                     pixels, own = np.unique(pairs[which, 1], return_inverse=True)
                     local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)

@@ -26,6 +26,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, in_frame_of
 from datagen.transport.geometry import corner, distance, get, put, subtract, unit
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.weights import smear, weight
 from datagen.transport.sampling import mix, word_of
@@ -53,7 +54,6 @@ LEVEL, EDGE_LEVEL = 4, 3
 """How often a pixel is quartered at most to be connected with what a ray meets: with half as many, pixels 20 cm wide
 see a mesh beside them too coarsely. And how often where an edge runs through it, with one random point in each
 footprint on the edge: one level less leaves twice the noise there."""
-RAYS_AT_ONCE, FANS_AT_ONCE = 1 << 15, 1 << 13
 TURN = 0.6180339887498949
 """The golden section, by which the second coordinate of a lattice goes on from one ray to the next."""
 
@@ -146,14 +146,15 @@ def gather_by_rays(  # type: ignore[no-untyped-def]
     across : largest footprint of a point that is connected with what rays meet, relative to its distance from there.
     """
     parts, points = len(outlines.radius), min(4**LEVEL, scan.patches.part.shape[1])
-    for run in range(0, len(pairs) if outlines.first[-1] else 0, FANS_AT_ONCE):
-        some = np.arange(run, min(run + FANS_AT_ONCE, len(pairs)))
+    pairs_at_once, rays_at_once = VALUES_AT_ONCE // 512, VALUES_AT_ONCE // 128
+    for run in range(0, len(pairs) if outlines.first[-1] else 0, pairs_at_once):
+        some = np.arange(run, min(run + pairs_at_once, len(pairs)))
         room = len(some) * parts
         pair, part = np.empty((2, room), np.int64)
         fans = Fans(pair, part, np.zeros(room + 1, np.int64), np.zeros((room, 9)))
         first = fans.first[: 1 + _plan(pairs, some, scan, outlines, fans)]
-        for start in range(0, int(first[-1]), RAYS_AT_ONCE):
-            count = min(RAYS_AT_ONCE, int(first[-1]) - start)
+        for start in range(0, int(first[-1]), rays_at_once):
+            count = min(rays_at_once, int(first[-1]) - start)
             fan = int(np.searchsorted(first, start, side="right")) - 1
             origin, normal, direction = np.empty((3, count, 3))
             _aim(pairs, scan, tally, fans, fan, start, origin, normal, direction)

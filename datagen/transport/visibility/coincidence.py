@@ -11,12 +11,11 @@ import numpy as np
 
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
+from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.visibility.raycast import Raycaster
 
 PLANE, APART = 1e-6, 1e-7
 """Distance between planes, and depth of an overlap in the plane, relative to the scene, that are still none."""
-AT_ONCE = 1 << 22
-"""Pairs of triangles whose boxes are compared together."""
 PAIRS, LOOKED_FROM = 64, 16
 """Pairs of triangles of two parts in a plane, and laser points, that are looked at: what a tenth of a shared surface
 would show is found with half of them."""
@@ -70,7 +69,7 @@ def places_shared(scene: Scene) -> tuple[Floats, Floats]:
 def _overlapping(ones: Floats, twos: Floats) -> list[tuple[int, int]]:
     """Which of some triangles (n, 3, 2) overlap which of others (m, 3, 2), `PAIRS` of them at most."""
     found: list[tuple[int, int]] = []
-    step = max(AT_ONCE // len(twos), 1)
+    step = max(VALUES_AT_ONCE // len(twos), 1)
     for start in range(0, len(ones), step):
         some = ones[start : start + step]
         near = (some.min(axis=1)[:, None] < twos.max(axis=1) - APART) & (

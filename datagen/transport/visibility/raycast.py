@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
-
-RAYS_PER_BATCH = 1 << 19
-"""Rays handed to embree at once: enough to hide the call, little enough to stay in memory."""
+from datagen.transport.memory import VALUES_AT_ONCE
 
 SURFACE_OFFSET = 2e-6
 """Distance, in units of the scene's half extent, by which ray ends are lifted off their surface: some twenty float32
@@ -127,7 +125,8 @@ def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
 
 
 def _batches(rays: int) -> Iterator[slice]:
-    return (slice(start, start + RAYS_PER_BATCH) for start in range(0, rays, RAYS_PER_BATCH))
+    at_once = VALUES_AT_ONCE // 8
+    return (slice(start, start + at_once) for start in range(0, rays, at_once))
 
 
 @compiled()
