@@ -230,13 +230,13 @@ ONCE_WRONG = [
 
 
 def spread_share() -> list[tuple[str, str, str, str]]:
-    """Cases with every BRDF on every shape; each set of parameters occurs twice, each time with two of the four
-    ways."""
+    """A case of each material with two of the four ways: every family of BRDFs meets all ways, and every way all
+    shapes and scans."""
     materials, shapes, captures, ways = list(MATERIALS), list(SHAPES), list(CAPTURES), list(WAYS)
     return [
-        (materials[k % 18], shapes[(k % 3 + k // 3 + 3 * (k // 18)) % 6], captures[(k + k // 4) % 4], way)
-        for k in range(36)
-        for way in (ways[::2] if (k + k // 18) % 2 else ways[1::2])
+        (material, shapes[(k % 3 + k // 3) % 6], captures[(k + k // 4) % 4], way)
+        for k, material in enumerate(materials)
+        for way in (ways[::2] if k % 2 else ways[1::2])
     ]
 
 

@@ -133,7 +133,7 @@ def test_without_asking_what_stands_between(occlusion: str) -> None:
 
 
 def ball() -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=5, radius=0.35)
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.35)
     mesh.apply_translation((1.6, 0.2, 1.2))
     return mesh
 

@@ -174,17 +174,6 @@ def test_a_tent_is_the_integral_of_its_light(seed: int) -> None:
     assert spread(row, 0, np.nan, 1.0, 2.0, *weights, 2.0) == 2.0
 
 
-def test_a_part_whose_error_is_boundless_is_left_out() -> None:
-    task = prepared(furnished_box(), one_point_capture(), Accuracy(target=0.02), 0, split_parts=True)
-    gathering = Gathering.of(task)
-    pairs, parts = pairs_of(task.capture), len(task.scene.part_names)
-    error = np.full(parts, 1e300)
-    error[0] = np.inf
-    found = gathering.gathered(pairs, gathering.seen(pairs, 0), error, np.arange(parts))
-    assert not found.histogram[:, 0].any()
-    assert found.histogram[:, 1:].any()
-
-
 @pytest.mark.parametrize(("half_side_m", "origin"), [(1e-3, "wall"), (0.05, "source"), (0.4, "wall")])
 def test_cells_taken_together_are_those_taken_one_by_one(half_side_m: float, origin: str) -> None:
     """Lambertian surfaces against surfaces of another model at its Lambertian limit, whose elements are never

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -69,8 +70,19 @@ def in_windows(light: Floats) -> Floats:
     return light.reshape(*light.shape[:-1], 16, 4).sum(axis=-1)
 
 
-@pytest.mark.parametrize("material", [Lambertian(0.7), OrenNayar(0.6, 0.5), SinLobe(0.7, (0, 0, 1))], ids=str)
-@pytest.mark.parametrize(("pairing", "half_m"), [("confocal", 0.002), ("confocal", 0.1), ("exhaustive", 0.1)])
+SCANS = [("confocal", 0.002), ("confocal", 0.1), ("exhaustive", 0.1)]
+MATERIALS = [Lambertian(0.7), OrenNayar(0.6, 0.5), SinLobe(0.7, (0, 0, 1))]
+
+
+@pytest.mark.parametrize(
+    ("pairing", "half_m", "material"),
+    [
+        # By day every scan and every material once.
+        pytest.param(*SCANS[i], MATERIALS[k], marks=() if i == k else pytest.mark.nightly)
+        for i, k in itertools.product(range(3), range(3))
+    ],
+    ids=str,
+)
 def test_light_of_meshes_is_that_of_the_definition(pairing: str, half_m: float, material: Material) -> None:
     """The light of each object in windows of four bins, within chance and half the error asked."""
     room, capture = scene(material), scan(pairing, half_m)

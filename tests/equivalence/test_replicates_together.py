@@ -60,9 +60,3 @@ def test_together_or_one_by_one(pairing: str, bounces: int | None, monkeypatch: 
         np.testing.assert_allclose(joint.overflow, apart.overflow, rtol=1e-12)
         for name, part in apart.parts.items():
             np.testing.assert_allclose(joint.parts[name], part, rtol=1e-12, atol=1e-14 * scale)
-
-
-def test_together_costs_fewer_calls(monkeypatch: pytest.MonkeyPatch) -> None:
-    apart, joint = (_run("exhaustive", 5, together, monkeypatch) for together in (1, 1 << 14))
-    assert apart.spend is not None and joint.spend is not None
-    assert joint.spend.cost < 0.6 * apart.spend.cost

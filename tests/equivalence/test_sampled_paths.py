@@ -19,7 +19,7 @@ from test_all_ways import CAPTURES, energies, scene_of
 
 from datagen import Capture, Scene
 from datagen.records import Transient
-from datagen.transport.reference import reference
+from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
 
 RUNS, LEVEL = 16, 1e-4
@@ -39,7 +39,7 @@ def hold(scene: Scene, capture: Capture, **asked: object) -> None:
             for seed in range(RUNS)
         ])  # fmt: skip
 
-    plain, sampled = runs(PLAIN // len(capture.laser.targets)), runs(SAMPLED, draw=sample_paths)
+    plain, sampled = runs(PLAIN // len(pairs_of(capture))), runs(SAMPLED, draw=sample_paths)
     # Light that only few runs met has a spread that says nothing about its error.
     often = ((plain > 0).sum(axis=0) >= RUNS - 2) & ((sampled > 0).sum(axis=0) >= RUNS - 2)
     off = plain.mean(axis=0) - sampled.mean(axis=0)

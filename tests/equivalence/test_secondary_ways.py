@@ -6,24 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from rooms import bins_of_path, furnished_box, one_point_capture
-from scipy import stats
 
 from datagen import Accuracy, simulate
 from datagen.errors import InputError
 
 AXIS = bins_of_path(40, 0.5, 0.0)
-
-
-def test_walk_and_factorised_form_agree_by_bin() -> None:
-    """Two estimators that share only the ray caster: Student's t over the bins at 10⁻³ (8 replicates each)."""
-    scene, capture = furnished_box(0.8), one_point_capture(time=AXIS)
-    walk = simulate(scene, capture, Accuracy(1 << 15, 8, 4, 8), seed=1)
-    factorised = simulate(scene, capture, Accuracy(1 << 11, 16, 4, 8, observed=256), seed=2)
-    a, b = walk.components["secondary"], factorised.components["secondary"]
-    assert a.sum() == pytest.approx(b.sum(), rel=0.02)
-    sigma = np.hypot(walk.stderr, factorised.stderr)
-    filled = (sigma > 0) & (a > 1e-3 * a.max())
-    assert (np.abs(a - b)[filled] / sigma[filled]).max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 7)
 
 
 def test_strongest_keep_less_and_more_of_them_keep_more() -> None:

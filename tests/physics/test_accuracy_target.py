@@ -3,14 +3,12 @@ ends."""
 
 from __future__ import annotations
 
-import itertools
-import math
 from functools import cache
 
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.targets import Outcome, fixed_counts_costs, outcomes, table
+from benchmarks.targets import outcomes
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
@@ -58,29 +56,18 @@ def met(runs: list[Transient]) -> Transient:
 
 @pytest.mark.parametrize(
     "scenes",
-    [(4, 10, 13), pytest.param((0, 2, 4, 5, 6, 9, 10, 13, 14, 17, 18, 21), marks=pytest.mark.nightly)],
+    [(2, 10), pytest.param((0, 2, 4, 5, 6, 9, 10, 13, 14, 17, 18, 21), marks=pytest.mark.nightly)],
     ids=["daily", "more"],
 )
 def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int, ...]) -> None:
     """Some cheap cases of `datagen bench`: errors are within their targets as often as promised, and none is more
     than twice its target. The cost is fair at 5 %; looser targets cost as much as the coarsest elements."""
     found = list(outcomes(scenes, targets=(0.1, 0.05), cost=8e6))
-    assert len(found) >= 6
+    assert len(found) >= 4
     assert sum(not one.within for one in found) <= beyond_at_most(len(found))
     assert all(one.error < 2 * one.target for one in found)
     assert all(one.met and one.bound <= one.target for one in found)
     assert np.nanmedian([one.cost / one.fixed_cost for one in found if one.target == 0.05]) < 4
-    assert "| 0.1 |" in table(found)
-
-
-def test_fixed_counts_of_half_the_error_cost_two_to_eight_times_as_much() -> None:
-    """Half the error costs four times as much with independent samples, less with quasi-random ones; costs are
-    interpolated between runs."""
-    truth = float(np.linalg.norm(simulate(furnished_box(0.7), one_point_capture(), Accuracy(1 << 15, 4, 3, 8)).total))
-    targets = [0.2, 0.1, 0.05]
-    costs = fixed_counts_costs(furnished_box(0.7), one_point_capture(), Accuracy(max_bounces=3), targets, truth, 1)
-    assert all(2 < dear / cheap < 8 for cheap, dear in itertools.pairwise(costs))
-    assert all(map(math.isnan, fixed_counts_costs(furnished_box(), one_point_capture(), Accuracy(), targets, 0.0, 1)))
 
 
 def test_same_arguments_and_seed_give_the_same_bytes(met: Transient) -> None:
@@ -219,27 +206,10 @@ def test_bound_holds_as_often_as_it_says() -> None:
         assert beyond >= 1
 
 
-def test_freedom_counts_the_directions_of_a_scatter() -> None:
-    rng = np.random.default_rng(4)
-    for ways in (1, 6, 50):
-        basis = rng.normal(size=(ways, 3000))
-        sketch = Sketch(200)
-        for k in range(200):
-            sketch.add(k, rng.normal(size=ways) @ basis, 0)
-        assert sketch.freedom() == pytest.approx(ways, rel=0.25, abs=0.3)
-
-
 def test_rounds_that_differ_by_more_than_their_noise_are_distrusted() -> None:
     known = [Scatter(1.0, 20, 8)]
     assert disagreement(2.0, known[0], known) == 1.0
     assert disagreement(40.0, known[0], known) == pytest.approx(20.0)
-
-
-def test_outcomes_beyond_their_target_are_counted() -> None:
-    one = Outcome(0, 0.1, 0.2, 0.09, True, 5.0, 2.0, 0.1)
-    assert not one.within
-    assert "| 0.0% |" in table([one])
-    assert "| 2.50 | 2.50 | 0.0% |" in table([one])
 
 
 def foot_of_a_wall(half_side_m: float) -> Capture:

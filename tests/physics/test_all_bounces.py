@@ -115,7 +115,7 @@ def test_secondary_in_a_room_obeys_linearity_order_by_order() -> None:
     np.testing.assert_allclose(dark.components["secondary"] * 16, bright.components["secondary"], rtol=1e-9)
 
 
-def test_secondary_is_reciprocal() -> None:
+def test_primary_and_secondary_are_reciprocal() -> None:
     scene = furnished_box()
     a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
     accuracy = Accuracy(1 << 16, 1, 4, 8)
@@ -125,8 +125,10 @@ def test_secondary_is_reciprocal() -> None:
         for p, q, s in ((a, b, 1), (b, a, 2))
     )
     solid = [h**2 * 4 * device[0] / np.linalg.norm(device - p) ** 3 for p in (b, a)]
-    one, other = there.components["secondary"] / solid[0], back.components["secondary"] / solid[1]
-    assert one.sum() == pytest.approx(other.sum(), rel=5e-3)
+    for name, rel in (("primary", 2e-3), ("secondary", 5e-3)):
+        pair = [run.components[name].sum() / s for run, s in zip((there, back), solid, strict=True)]
+        assert pair[0] == pytest.approx(pair[1], rel=rel), name
+    one, other = there.total / solid[0], back.total / solid[1]
     sigma = np.hypot(there.stderr / solid[0], back.stderr / solid[1])
     filled = sigma > 0
     # Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.

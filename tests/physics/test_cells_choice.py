@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import trimesh
-from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
+from rooms import bins_of_path, furnished_box, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.error_control.refinement import (
@@ -16,7 +14,6 @@ from datagen.transport.error_control.refinement import (
     PATCHES_SHARE,
     Asked,
     Trial,
-    by_light,
     choose,
     quarter,
 )
@@ -32,18 +29,6 @@ ALBEDO = 0.7
 def wall_and(*parts: Part) -> Scene:
     wall = rectangle((0, 0, 1), (0, 3, 0), (0, 0, 3))
     return Scene.from_parts([Part("wall", wall, Lambertian(ALBEDO), "relay_wall"), *parts])
-
-
-@pytest.mark.parametrize(("from_side", "at_edge"), [(0.35, True), (0.15, True), (-0.05, False)])
-def test_a_corner_of_a_pixel_on_another_surface_is_seen(from_side: float, at_edge: bool) -> None:
-    """A thin plate on the wall covers the fraction `from_side` of both sides of the pixel, and at least a fiftieth of
-    its area: the pixel counts as one at an edge."""
-    low = np.array([0.4, 1.2]) + HALF_M - 2 * HALF_M * from_side
-    plate = rectangle((1e-4, low[0] + 0.1, low[1] + 0.1), (0, 0.1, 0), (0, 0, 0.1))
-    scene = wall_and(Part("plate", plate, Lambertian(ALBEDO), "structure"))
-    capture = one_point_capture((0, 0, 1), (0, 0.4, 1.2), HALF_M, device=DEVICE)
-    task = prepared(scene, capture, Accuracy(target=0.02), 0, split_parts=True)
-    assert Gathering.of(task).at_edge.tolist() == [at_edge]
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.01])
@@ -130,17 +115,6 @@ def test_pixels_at_edges_get_as_many_points_as_they_need() -> None:
     )
     of_any, chosen = (np.linalg.norm(found - truth) for found in (of_any, chosen))
     assert chosen <= quartering.error <= 0.02 * choice.norm < of_any
-
-
-def test_few_pairs_tell_of_errors_that_all_have() -> None:
-    """Objects light a scan over four decades, and errors are alike in all 64 pairs, dim or bright. 12 drawn pairs
-    estimate them within a third in 99 of 100 draws; a draw by squares of light was up to a half off."""
-    rng, off = np.random.default_rng(1), []
-    for _ in range(400):
-        light = 10 ** rng.uniform(-3, 1, (64, 6))
-        light[:, 0] = 100 * 10 ** rng.uniform(-0.2, 0.2, 64)
-        off.append(math.log2(by_light(light, 12)[1].sum() / 64))
-    assert np.quantile(np.abs(off), 0.99) < math.log2(4 / 3)
 
 
 def test_each_draw_of_a_trial_has_its_own_points() -> None:

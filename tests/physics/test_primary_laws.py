@@ -19,34 +19,6 @@ ACCURACY = Accuracy(8192, 8, 3, 8)
 DEVICE = np.array([1.5, 0.1, 1.3])
 
 
-def moved(scene: Scene, capture: Capture, scale: float = 1.0, shift: tuple[float, ...] = (0, 0, 0)) -> tuple:
-    s = np.asarray(shift, float)
-    axis = capture.time
-    return replace(scene, vertices=scene.vertices * scale + s), Capture(
-        Laser(capture.laser.position * scale + s, capture.laser.targets * scale + s),
-        Sensor(capture.sensor.position * scale + s, capture.sensor.pixels * scale + s),
-        TimeAxis(axis.bins, axis.width_s * scale, axis.start_s * scale, axis.origin),
-        capture.pairing,
-    )
-
-
-@pytest.mark.parametrize("scale", [0.025, 250.0])
-def test_scaling_a_room_scales_times_and_divides_energy_by_the_square(scale: float) -> None:
-    """Rooms of 0.1 m and 1 km: with the aperture fixed, times × s and energy × s⁻²."""
-    scene, capture = furnished_box(), one_point_capture()
-    plain = simulate(scene, capture, ACCURACY, seed=1)
-    scaled = simulate(*moved(scene, capture, scale), ACCURACY, seed=1)
-    np.testing.assert_allclose(scaled.total * scale**2, plain.total, atol=1e-4 * plain.total.max())
-    assert scaled.total.sum() * scale**2 == pytest.approx(plain.total.sum(), rel=1e-4)
-
-
-def test_ten_kilometres_from_the_origin_the_answer_is_the_same() -> None:
-    scene, capture = furnished_box(), one_point_capture()
-    plain = simulate(scene, capture, ACCURACY, seed=1)
-    far = simulate(*moved(scene, capture, 1.0, (8000.0, -6000.0, 300.0)), ACCURACY, seed=1)
-    np.testing.assert_allclose(far.total, plain.total, atol=1e-4 * plain.total.max())
-
-
 def test_the_primary_is_linear_in_each_albedo() -> None:
     """The light is proportional to the albedo at the laser point, the hidden vertex and the FoV point, exactly,
     because the paths are the same."""
@@ -59,18 +31,7 @@ def test_the_primary_is_linear_in_each_albedo() -> None:
         np.testing.assert_allclose(dimmed.parts["box"], base.parts["box"] * 0.5**power, rtol=1e-9, atol=0)
         if name == "box":
             np.testing.assert_allclose(dimmed.parts["floor"], base.parts["floor"], rtol=1e-9, atol=0)
-
-
-def test_albedo_zero_gives_zero() -> None:
-    assert not simulate(furnished_box(0.0), one_point_capture(), ACCURACY, seed=1).total.any()
-
-
-def test_parts_add_up_to_the_total() -> None:
-    result = simulate(furnished_box(), one_point_capture(), ACCURACY, seed=2)
-    np.testing.assert_allclose(sum(result.parts.values()), result.total, rtol=1e-12, atol=1e-30)
-    assert set(result.parts) == set(furnished_box().part_names)
-    # A flat wall cannot light itself: laser point and FoV lie in it, so it gives exactly nothing.
-    assert not result.parts["relay_wall"].any()
+    assert not simulate(furnished_box(0.0), capture, ACCURACY, seed=4).total.any()
 
 
 @pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
@@ -203,15 +164,6 @@ def test_surfaces_that_touch_converge_and_stay_bounded() -> None:
     assert abs(single.mean() - truth) < stats.norm.ppf(1 - 0.5e-3) * error * 1.5
 
 
-@pytest.mark.parametrize("edge", [1e-3, 1e-6])
-def test_laser_point_at_an_edge(edge: float) -> None:
-    """The light changes continuously while the laser point crosses the last millimetre to the edge."""
-    scene = furnished_box()
-    near = simulate(scene, one_point_capture((0, -1.5 + edge, 1.4)), ACCURACY, seed=1)
-    far = simulate(scene, one_point_capture((0, -1.5 + 2 * edge, 1.4)), ACCURACY, seed=1)
-    assert near.total.sum() == pytest.approx(far.total.sum(), rel=0.05)
-
-
 def test_nothing_visible_is_a_zero_transient() -> None:
     scene = Scene.from_parts(
         [Part("wall", rectangle((0, 0, 0), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")]
@@ -247,12 +199,6 @@ def test_degenerate_duplicate_and_inverted_triangles_change_nothing() -> None:
         sigma = 3 * (plain.stderr.sum() + 1e-30)
         assert abs(result.parts[name].sum() - plain.parts[name].sum()) < sigma
     assert result.total.sum() == pytest.approx(plain.total.sum(), rel=5e-3)
-
-
-def test_one_sample_is_finite_and_says_it_has_no_error_estimate() -> None:
-    result = simulate(furnished_box(), one_point_capture(), Accuracy(1, 1, 3, 8), seed=1)
-    assert np.isfinite(result.total).all()
-    assert np.isnan(result.stderr).all()
 
 
 def test_same_seed_same_bytes_another_seed_others() -> None:

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 from lit_plate import plate_by_quadrature
-from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
-from scipy import stats
-from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
+from rooms import bins_of_path, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
-from datagen.transport.fields_of_view import PixelCones
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 APERTURE_M2 = np.pi * 0.02**2
@@ -70,67 +67,3 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     if accuracy is BY_ELEMENTS:
         assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
-
-
-def sphere_capture() -> Capture:
-    return Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
-
-
-@pytest.fixture(scope="module")
-def ball() -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=6)
-    # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
-    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
-    return mesh
-
-
-@pytest.mark.parametrize("albedo", [0.3, 1.0])
-def test_inside_of_a_sphere_energy(ball: trimesh.Trimesh, albedo: float) -> None:
-    """Every vertex after a bounce is uniform on the sphere, so L = ρ³/π · A Ω / (4π r²) whatever the geometry."""
-    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
-    capture = sphere_capture()
-    result = simulate(scene, capture, Accuracy(1 << 16, 16, 3, 4), seed=2)
-    omega = PixelCones.of(capture.sensor).solid_angle[0]
-    expected = albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
-    assert (result.total.sum() + result.overflow.sum()) == pytest.approx(expected, rel=5e-4)
-
-
-def test_inside_of_a_sphere_shape(ball: trimesh.Trimesh) -> None:
-    """Arrival times are distributed as the length of two chords that meet in a uniform point: 16 runs, level 10⁻³
-    over the bins."""
-    scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
-    capture = sphere_capture()
-    runs = np.array([simulate(scene, capture, Accuracy(4096, 8, 3, 1), seed=s).total[0, 0] for s in range(16)])
-    measured, stderr = runs.mean(axis=0), runs.std(axis=0, ddof=1) / np.sqrt(len(runs))
-
-    share, error = stored().of(3)
-    omega = PixelCones.of(capture.sensor).solid_angle[0]
-    primary = 0.8**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega
-    expected = primary * share
-    filled = measured > 1e-3 * measured.max()
-    noise = stderr[filled] ** 2 + (primary * error[filled]) ** 2
-    t2 = (measured[filled] - expected[filled]) ** 2 / noise
-    # With 16 runs each term is about F(1, 15): mean 15/13, variance 2·15²·14 / (13²·11). Level 10⁻³, one-sided.
-    mean, variance = 15 / 13, 2 * 15**2 * 14 / (13**2 * 11)
-    z = (t2.sum() - filled.sum() * mean) / np.sqrt(filled.sum() * variance)
-    assert z < stats.norm.ppf(1 - 1e-3)
-    assert np.abs(measured - expected).sum() / expected.sum() < 0.01
-
-
-def test_reciprocity() -> None:
-    """Swapping laser point and FoV point leaves the transient between them as it was."""
-    scene = furnished_box()
-    a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
-    there, back = (
-        simulate(scene, one_point_capture(p, q, h, device=device), Accuracy(1 << 16, 1, 3, 8), seed=s)
-        for p, q, s in ((a, b, 1), (b, a, 2))
-    )
-    # The solid angle of the pixel differs with the place of the FoV point; E₃ per photon does not.
-    solid = [h**2 * 4 * device[0] / np.linalg.norm(device - p) ** 3 for p in (b, a)]
-    e_there, e_back = there.total / solid[0], back.total / solid[1]
-    assert e_there.sum() == pytest.approx(e_back.sum(), rel=2e-3)
-    sigma = np.hypot(there.stderr / solid[0], back.stderr / solid[1])
-    filled = sigma > 0
-    z = np.abs(e_there - e_back)[filled] / sigma[filled]
-    # Two estimates of 8 replicates each: Student's t with about 14 degrees, Bonferroni over the bins at 10⁻³.
-    assert z.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 14)

@@ -120,20 +120,6 @@ def test_attenuation_from_nothing_to_opaque(attenuation: float, rel: float) -> N
     assert energy(simulate(replace(clear, attenuation_per_m=1e6), capture, accuracy, seed=3)) == 0.0
 
 
-def test_a_hundred_thousand_bins_of_a_picosecond_hold_what_a_thousand_coarse_ones_do() -> None:
-    """The same energy, and the same mean arrival time, to what both know of themselves."""
-    scene = furnished_box()
-    results = {}
-    for bins, width in ((100_000, 3e-4), (1_000, 3e-2)):
-        axis = bins_of_path(bins, width, 0.0)
-        result = simulate(scene, one_point_capture(time=axis), Accuracy(1 << 14, 4, 4, 4), seed=4)
-        mean = (result.total[0, 0] * axis.centers_s).sum() / result.total.sum()
-        results[bins] = energy(result), mean
-    (fine, early), (coarse, late) = results.values()
-    assert fine == pytest.approx(coarse, rel=3e-3)
-    assert early == pytest.approx(late, rel=3e-3)
-
-
 def test_light_that_never_fades_keeps_its_weight() -> None:
     """All orders in a white room: a path that bounces to and fro in a corner must not come out of it with a weight
     that grew at every bounce, as it does where a constant survival ends paths. Then some seeds err far more."""
