@@ -15,10 +15,10 @@ import trimesh
 from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, square_pixels
 from scipy import stats
+from sphere_chords import unit_ball
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, simulate
 from datagen.bench.foreign_scenes import foreign_scene
-from datagen.transport.error_control.rounds import Forecast, sampled
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.quadrature import four_bounces
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
@@ -109,8 +109,7 @@ def test_the_walk_gives_the_same(scene: Scene, capture: Capture) -> None:
 
 
 def in_the_ball(albedo: float) -> tuple[Scene, Capture, float]:
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
+    ball = unit_ball(3)
     scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
     spot = ball.triangles_center[0]
     across = np.cross(spot, [0, 0, 1.0])
@@ -170,20 +169,6 @@ def test_small_triangles_are_taken_together() -> None:
     assert fine.pairs < 1.1 * coarse.pairs
     assert np.linalg.norm(fine.histogram - coarse.histogram) < OWN * np.linalg.norm(coarse.histogram)
     assert fine.photons.sum() == pytest.approx(coarse.photons.sum(), rel=0.01)
-
-
-def test_a_walk_costs_about_what_is_forecast() -> None:
-    """Path tracing of the secondary to 5 % costs what a first round forecasts, within a factor of four: sizes of
-    rounds are powers of two, and a first round knows the variance to some ten per cent."""
-    asked = Accuracy(target=0.05, max_bounces=4)
-    task = prepared(with_meshes(), scan("exhaustive", 5e-4), asked, 0, split_parts=False)
-    alone = replace(task, tally_rows=replace(task.tally_rows, components=("secondary",), parts=()))
-    walked = sampled(alone, None)
-    forecast = Forecast(alone, 0.05 * float(np.linalg.norm(walked.components["secondary"])))
-    assert walked.met_target and set(walked.spend.way.values()) == {"walk"}
-    assert walked.spend.cost / 4 < forecast.cost < 4 * walked.spend.cost
-    assert forecast.costs_less_than(1.01 * forecast.cost)
-    assert not forecast.costs_less_than(0.99 * forecast.cost)
 
 
 def wall_and(*others: Part) -> Scene:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 STORED = Path(__file__).parent / "data" / "sphere_chords.npz"
@@ -30,6 +31,13 @@ class Chords(NamedTuple):
 
     def of(self, order: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return self.share[ORDERS.index(order)], self.error[ORDERS.index(order)]
+
+
+def unit_ball(subdivisions: int) -> trimesh.Trimesh:
+    """A polyhedron of the unit sphere's area: its energy is right to second order."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
+    return mesh
 
 
 def chords(chunks: int, chains: int, seed: int) -> Chords:

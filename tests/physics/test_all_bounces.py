@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-import trimesh
 from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
-from sphere_chords import BINS, ORDERS, QUAD, SPOT, WIDTH_M, chords, stored
+from sphere_chords import BINS, ORDERS, QUAD, SPOT, WIDTH_M, chords, stored, unit_ball
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.transport.fields_of_view import PixelCones
@@ -19,17 +17,9 @@ from datagen.transport.fields_of_view import PixelCones
 APERTURE_M2 = np.pi * 0.02**2
 
 
-@cache
-def ball(subdivisions: int) -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
-    # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
-    mesh.apply_scale(np.sqrt(4 * np.pi / mesh.area))
-    return mesh
-
-
 def in_the_ball(albedo: float, subdivisions: int = 5) -> tuple[Scene, Capture, float]:
     """Scene, capture, and the energy of the primary, L = ρ³/π · A Ω / (4π r²)."""
-    scene = Scene.from_parts([Part("sphere", ball(subdivisions), Lambertian(albedo), "structure")])
+    scene = Scene.from_parts([Part("sphere", unit_ball(subdivisions), Lambertian(albedo), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
     omega = PixelCones.of(capture.sensor).solid_angle[0]
     return scene, capture, albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * omega

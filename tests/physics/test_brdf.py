@@ -130,13 +130,8 @@ def test_albedo_is_what_the_brdf_integrates_to_and_never_more_than_the_record(ma
         assert whole.power == pytest.approx(stated, rel=2e-3, abs=1e-4), cosine
         assert whole.power <= material.albedo * (1 + 2e-4)
         assert whole.mass.sum() <= 1 + 1e-3
-
-
-@models
-def test_albedo_never_exceeds_the_record_at_any_incidence(material: Material) -> None:
-    cosines = np.linspace(0, 1, 301) ** 3
-    assert (albedo(material, cosines) <= material.albedo * (1 + 1e-9)).all()
-    assert (albedo(material, cosines) >= 0).all()
+    everywhere = albedo(material, np.linspace(0, 1, 301) ** 3)
+    assert ((everywhere >= 0) & (everywhere <= material.albedo * (1 + 1e-9))).all()
 
 
 @pytest.mark.parametrize(

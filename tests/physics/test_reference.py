@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
-from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored
+from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored, unit_ball
 
 from datagen import Capture, Lambertian, Laser, Part, Phong, Scene, Sensor
 from datagen.transport.brdf import MaterialTable
@@ -23,10 +23,7 @@ APERTURE_M2 = np.pi * 0.02**2
 @pytest.mark.parametrize("albedo", [0.3, 1.0])
 def test_inside_of_a_sphere(albedo: float) -> None:
     """Every vertex after a bounce is uniform on the sphere, so b bounces bring ρᵇ/π · A Ω / (4π r²) for any b ≥ 3."""
-    ball = trimesh.creation.icosphere(subdivisions=5)
-    # Scaled so that the polyhedron has the unit sphere's area: its energy is then right to second order.
-    ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
-    scene = Scene.from_parts([Part("sphere", ball, Lambertian(albedo), "structure")])
+    scene = Scene.from_parts([Part("sphere", unit_ball(5), Lambertian(albedo), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(100, 0.1, 0.0))
     primary = albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * PixelCones.of(capture.sensor).solid_angle[0]
     found = reference(scene, capture, draw=sample_paths, samples=1 << 14, replicates=2, max_bounces=6, seed=1)
@@ -43,9 +40,7 @@ def test_inside_of_a_sphere(albedo: float) -> None:
 def test_paths_in_a_sphere_arrive_when_chords_say() -> None:
     """Arrival times are distributed as the length of two chords that meet in a uniform point: 16 runs, level 10⁻³
     over the bins."""
-    ball = trimesh.creation.icosphere(subdivisions=6)
-    ball.apply_scale(np.sqrt(4 * np.pi / ball.area))
-    scene = Scene.from_parts([Part("sphere", ball, Lambertian(0.8), "structure")])
+    scene = Scene.from_parts([Part("sphere", unit_ball(6), Lambertian(0.8), "structure")])
     capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
     runs = np.array(
         [
