@@ -23,8 +23,9 @@ def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
     )
 
 
+@pytest.mark.parametrize("accuracy", [Accuracy(256, 4, 3, 2), BY_ELEMENTS], ids=["paths", "elements"])
 @pytest.mark.parametrize("origin", ["wall", "source"])
-def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
+def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy) -> None:
     """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
     side, h = 1e-3, 5e-4
     x2, n2 = np.array([1.2, 0.5, -0.3]), np.array([-1.0, 0, 0])
@@ -35,7 +36,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str) -> None:
     capture = Capture(
         Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(400, 1e-5, path - 2e-3, origin)
     )
-    result = simulate(scene, capture, Accuracy(256, 4, 3, 2), seed=3)
+    result = simulate(scene, capture, accuracy, seed=3)
 
     cos1, cos2 = (x2 - x1)[0] / r12, n2 @ (x1 - x2) / r12
     cos2_out, cos3 = n2 @ (x3 - x2) / r23, -(x3 - x2)[0] / r23

@@ -513,6 +513,8 @@ def _cheapest(
     # The least cost under a bound on Σ error² is the least of cost + λ error² in each group; λ by bisection.
     every, finite = np.arange(groups), cost[np.isfinite(cost)]
     low, high = math.log(finite.min() / most**2) - WIDELY, math.log(finite.max() / most**2) + WIDELY
+    # `most` is next to nothing where other groups have used up the error; e^700 is nearly the largest float.
+    high = min(high, 700.0)
     for _ in range(HALVINGS):
         multiplier = 0.5 * (low + high)
         which = np.argmin(cost + np.exp(multiplier) * error**2, axis=0)
