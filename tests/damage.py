@@ -50,14 +50,15 @@ def files_of(root: Path) -> list[Path]:
     return sorted(path.relative_to(root) for path in root.rglob("*") if path.is_file())
 
 
-def read(root: Path, memory: int) -> dict[str, Any]:
-    """Scene and field → values, of every field that a user reads, from memory of so many bytes, or (0) from files."""
+def read(root: Path, memory: int, fields: tuple[str, ...] = FIELDS) -> dict[str, Any]:
+    """Scene and field → values that a user reads, from memory of so many bytes, or (0) from files. Raises if the
+    dataset is not complete."""
     before, reader.MEMORY_BYTES = reader.MEMORY_BYTES, memory
     try:
-        data = TransientDataset(root, FIELDS)
+        data = TransientDataset(root, fields)
         found: dict[str, Any] = {}
         for item in [data[i] for i in range(len(data))]:
-            found |= {f"{int(item['scene'])} {name}": item[name].numpy().tobytes() for name in FIELDS}
+            found |= {f"{int(item['scene'])} {name}": item[name].numpy().tobytes() for name in fields}
     finally:
         reader.MEMORY_BYTES = before
     return found

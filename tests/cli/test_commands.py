@@ -99,20 +99,20 @@ def test_a_damaged_dataset_fails_its_check(built: Path, tmp_path: Path, capsys: 
     assert err.startswith("datagen: ") and err.count("\n") == 1
 
 
-def test_another_dataset_in_the_output_is_refused(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (built / "other.yaml").write_text(CONFIG.replace("bins: 64", "bins: 65"))
-    before = {path: path.stat().st_mtime_ns for path in (built / "out").rglob("*")}
-    assert run(["build", str(built / "other.yaml"), str(built / "out/tiny.zarr")]) == 2
-    err = capsys.readouterr().err
-    assert "capture.time.bins = 64, this configuration has 65" in err and err.count("\n") == 1
-    assert {path: path.stat().st_mtime_ns for path in (built / "out").rglob("*")} == before
-
-
 @pytest.mark.usefixtures("without_ticks")
 def test_preview_is_one_page(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = built / "page.html"
     assert run(["preview", str(built / "out/tiny.zarr"), "--out", str(page), "--scenes", "1"]) == 0
     assert capsys.readouterr().out.strip() == str(page) and "tiny" in page.read_text()
+
+
+@pytest.mark.usefixtures("few_pixels")
+def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "sheet.png"
+    assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "2"]) == 0
+    assert out.read_bytes()[:4] == b"\x89PNG"
+    assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "0"]) == 2
+    assert "count" in capsys.readouterr().err
 
 
 def test_plan_says_what_will_be_built(

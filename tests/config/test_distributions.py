@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from datagen.config import config_from_mapping
+from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.distributions import draw, support
 from datagen.errors import InputError
 
@@ -73,13 +75,25 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(value: object, words: str) 
     assert "<" not in message.replace("<=", "")
 
 
-def test_a_configuration_survives_its_own_dump() -> None:
-    config = config_from_mapping(
-        {"name": "x", "scene": {"contents": [{"kind": "box", "height_m": {"log_uniform": [0.1, 1.5]}}]}}
-    )
-    again = config_from_mapping(config.model_dump(mode="json"))
-    assert again == config
-    assert again.fingerprint() == config.fingerprint()
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"name": "x", "scene": {"contents": [{"kind": "box", "height_m": {"log_uniform": [0.1, 1.5]}}]}},
+        {"scene": {"contents": [{"kind": "box", "material": ["pine_wood"]}],
+                   "materials": {"walls": {"material": ["concrete"]}}}},
+        {"scene": {"layout": {"kind": "isolated_wall", "place": "in_front"},
+                   "contents": [{"kind": "box", "distance_m": 1.0}]}},
+        {"transport": {"target": 0.1, "max_bounces": 4, "max_lookins": 5000}},
+    ],
+    ids=["distribution", "material", "in front", "target"],
+)  # fmt: skip
+def test_a_configuration_survives_its_own_dump(values: dict[str, object]) -> None:
+    config = config_from_mapping(values)
+    for again in (
+        config_from_mapping(json.loads(config.model_dump_json())),
+        DatasetConfig.model_validate_json(config.model_dump_json()),
+    ):
+        assert again == config and again.fingerprint() == config.fingerprint()
 
 
 def test_fingerprint_knows_what_matters() -> None:

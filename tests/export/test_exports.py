@@ -243,6 +243,7 @@ print(sum(len(part) for part in rows.values()), min(part[0]["thumbnail"].size[0]
 """
 
 
+@pytest.mark.nightly
 def test_hub_folder_is_read_by_datasets(made: Any, tmp_path: Path) -> None:
     """Another process reads it, because a module of these tests is called `datasets`, too."""
     export(made("confocal"), tmp_path / "hub", "hub")

@@ -14,9 +14,8 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from capture_laws import assert_moved_devices
 from random_specs import LAYOUTS, random_spec
-from room_laws import assert_room_laws, object_names
+from room_laws import assert_moved_devices, assert_room_laws, object_names
 
 from datagen.errors import InputError
 from datagen.scene import generate_scene

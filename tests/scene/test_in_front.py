@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -58,7 +57,7 @@ def check_before_the_wall(config: DatasetConfig, scene: Scene, index: int) -> No
 
 def test_ready_configuration_has_its_objects_inside_the_scan() -> None:
     config = load_config(READY)
-    for index in range(40):
+    for index in range(12):
         scene = generate_scene(config.scene, config.seed, index)
         check_before_the_wall(config, scene, index)
         targets = ViewFrame.of(scene).to_view(capture_for(config, scene, config.seed, index).laser.targets)
@@ -82,7 +81,7 @@ def test_scan_points_are_the_middles_of_label_pixels() -> None:
 def test_any_contents_stand_before_the_wall(turn: str) -> None:
     items = [{"kind": "pillar", "width_m": 0.2}, {"kind": "box", "height_m": 0.4, "count": 2}, {"kind": "library"}]
     config = bench(items, turn=turn)
-    for index in range(12):
+    for index in range(6):
         check_before_the_wall(config, generate_scene(config.scene, 5, index), index)
 
 
@@ -97,7 +96,7 @@ def test_distances_and_offsets_are_those_asked_for(layout: str, turn: str) -> No
     item |= {} if offset is None else {"offset_m": offset}
     config = config_from_mapping(given)
     found = []
-    for index in range(30):
+    for index in range(16):
         scene = generate_scene(config.scene, 3, index)
         wall = scene.relay_wall
         assert wall is not None
@@ -121,10 +120,6 @@ def test_what_stands_beside_is_configured_and_drawn_as_before() -> None:
     written = config.model_dump(mode="json")["scene"]
     assert not {"place", "beside_m", "space_depth_m"} & set(written["layout"])
     assert not {"distance_m", "offset_m"} & set(written["contents"][0])
-    front = bench([{"kind": "box", "distance_m": 1.0}])
-    again = DatasetConfig.model_validate_json(front.model_dump_json())
-    assert again == front and again.fingerprint() == front.fingerprint()
-    assert config_from_mapping(json.loads(front.model_dump_json())) == front
 
 
 @pytest.mark.parametrize(

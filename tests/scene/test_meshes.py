@@ -39,14 +39,24 @@ def lump() -> trimesh.Trimesh:
 @pytest.mark.parametrize("suffix", meshes.SUFFIXES)
 def test_every_format_gives_the_same_object(tmp_path: Path, suffix: str) -> None:
     lump().export(tmp_path / f"lump{suffix}")
-    lump().export(tmp_path / "reference.ply")
-    scene = generate_scene(spec_with(f"lump{suffix}", tmp_path).scene, 0, 0)
-    reference = generate_scene(spec_with("reference.ply", tmp_path).scene, 0, 0)
-    corners, expected = object_corners(scene), object_corners(reference)
+    assert_is_the_lump(f"lump{suffix}", tmp_path)
+
+
+def assert_is_the_lump(name: str, folder: Path) -> None:
+    lump().export(folder / "reference.ply")
+    corners, expected = (
+        object_corners(generate_scene(spec_with(file, folder).scene, 0, 0)) for file in (name, "reference.ply")
+    )
     assert len(corners) == len(expected) == len(lump().faces)
     nearest, _ = cKDTree(corners.mean(axis=1)).query(expected.mean(axis=1))
     assert nearest.max() < 1e-5
     np.testing.assert_allclose(np.ptp(corners[..., 2]), 1.0)
+
+
+def obj_of(mesh: trimesh.Trimesh, scale: float = 1.0) -> str:
+    """An OBJ file with every digit of the coordinates."""
+    lines = ["v " + " ".join(map(repr, map(float, vertex * scale))) for vertex in mesh.vertices]
+    return "\n".join(lines + ["f " + " ".join(str(k + 1) for k in face) for face in mesh.faces])
 
 
 def test_scene_graphs_are_flattened_with_their_transforms(tmp_path: Path) -> None:
@@ -78,15 +88,8 @@ def test_up_turns_the_file_and_never_mirrors_it(tmp_path: Path, up: str) -> None
 @pytest.mark.parametrize("scale", [1e-300, 1e-3, 1e3, 1e307])
 def test_the_unit_of_the_file_does_not_matter(tmp_path: Path, scale: float) -> None:
     """Not even where squares and cubes of coordinates are no numbers."""
-    mesh = lump()
-    lines = ["v " + " ".join(map(repr, map(float, vertex * scale))) for vertex in mesh.vertices]
-    lines += ["f " + " ".join(str(k + 1) for k in face) for face in mesh.faces]
-    _write(tmp_path, "lump.obj", "\n".join(lines))
-    mesh.export(tmp_path / "reference.ply")
-    corners = object_corners(generate_scene(spec_with("lump.obj", tmp_path).scene, 0, 0))
-    expected = object_corners(generate_scene(spec_with("reference.ply", tmp_path).scene, 0, 0))
-    nearest, _ = cKDTree(corners.mean(axis=1)).query(expected.mean(axis=1))
-    assert len(corners) == len(expected) and nearest.max() < 1e-5
+    _write(tmp_path, "lump.obj", obj_of(lump(), scale))
+    assert_is_the_lump("lump.obj", tmp_path)
 
 
 def test_seams_duplicates_degenerate_and_inverted_faces_are_repaired(tmp_path: Path) -> None:
@@ -265,9 +268,7 @@ def test_coordinates_far_from_the_origin(tmp_path: Path) -> None:
     far.export(tmp_path / "far.stl")
     with pytest.raises(InputError, match=r"path = 'far.stl': lies so far from its origin .* steps of 0\.[2-5]"):
         check_scene_config(spec_with("far.stl", tmp_path).scene)
-    lines = ["v " + " ".join(map(repr, map(float, vertex))) for vertex in far.vertices]
-    lines += ["f " + " ".join(str(k + 1) for k in face) for face in far.faces]
-    _write(tmp_path, "far.obj", "\n".join(lines))
+    _write(tmp_path, "far.obj", obj_of(far))
     lump().export(tmp_path / "near.ply")
     found, expected = (unit_mesh(tmp_path / name, MeshOptions()) for name in ("far.obj", "near.ply"))
     assert len(found.triangles) == len(expected.triangles)

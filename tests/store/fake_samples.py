@@ -68,12 +68,6 @@ def fake_sample(config: DatasetConfig, index: int) -> Sample:
     return Sample(index, arrays, parameters, {"scene": 0.001 * index, "transport": 0.002})
 
 
-def slow_sample(config: DatasetConfig, index: int) -> Sample:
-    """Never ends in the last shard, so that its build is under way whenever somebody looks."""
-    time.sleep(0.05 if index < 8 else 3600)
-    return fake_sample(config, index)
-
-
 def changed_at_5(change: Callable[[Sample], Any]) -> Callable[[DatasetConfig, int], Any]:
     """A sample function whose fifth sample is what `change` returns."""
 

@@ -20,8 +20,7 @@ from here_and_now import one_worker_here
 
 from datagen.building.build import build
 from datagen.errors import CheckError, InputError
-from datagen.loader import TransientDataset
-from datagen.store import committed, read_manifest, reader, verify
+from datagen.store import committed, read_manifest, verify
 from datagen.store.info import info
 from datagen.store.table import read_table
 from datagen.store.verify import dataset_digest
@@ -58,17 +57,6 @@ def quietly() -> Iterator[None]:
         yield
 
 
-def histograms(root: Path, memory: int) -> dict[int, bytes]:
-    """Scene → its histogram, as a reader with this memory returns it. Raises if the dataset is not complete."""
-    before, reader.MEMORY_BYTES = reader.MEMORY_BYTES, memory
-    try:
-        data = TransientDataset(root, ("histogram",))
-        items = [data[item] for item in range(len(data))]
-        return {int(item["scene"]): item["histogram"].numpy().tobytes() for item in items}
-    finally:
-        reader.MEMORY_BYTES = before
-
-
 def intact(root: Path) -> dict[int, bytes]:
     """Shard → its record, of committed shards with all their scenes. A kill must lose none of them."""
     with suppress(InputError):
@@ -87,9 +75,9 @@ def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int
     kept, digest, told_so = intact(root), dataset_digest(due), Outcome(harmed=harms)
     told_so["traceback"] += "Traceback" in said
     try:
-        expected = histograms(due, 0)
+        expected = read(due, 0, ("histogram",))
         for memory in MEMORIES:
-            got = told(partial(histograms, root, memory))
+            got = told(partial(read, root, memory, ("histogram",)))
             told_so["silent"] += got is not None and not got.items() <= expected.items()
         found = told(lambda: verify(root, deep=True))
         told_so["found"] += found is None or bool(found.problems)

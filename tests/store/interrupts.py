@@ -1,7 +1,4 @@
-"""Builds on the command line that a signal ends at a random moment: what they say, and what they leave.
-
-python tests/store/interrupts.py SIGINT 50
-"""
+"""Builds on the command line that a signal ends at a random moment: what they say, and what they leave."""
 
 from __future__ import annotations
 
@@ -12,7 +9,6 @@ import secrets
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from contextlib import suppress
@@ -144,10 +140,3 @@ def interruptions(
         counted["wrong"] += any(verify(path, deep=True).problems for path in found)
         counted["whole"] = len(found) - 1
     return counted
-
-
-if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as folder:
-        which, tries = signal.Signals[sys.argv[1]], int(sys.argv[2])
-        counted = interruptions(which, tries, Path(folder), int(time.time()), LATEST_S, resume=True)
-    print(which.name, *(f"{name} {counted[name]}" for name in ("ended", "wrong", "tracebacks", "whole")))

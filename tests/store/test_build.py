@@ -6,7 +6,6 @@ import json
 import os
 import re
 import resource
-import signal
 import socket
 import subprocess
 import sys
@@ -31,15 +30,6 @@ from datagen.building.build import parse_shards
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store import running_path, verify
-from datagen.store.arrays import COORDINATES
-
-CHILD = """
-import sys
-from fake_samples import fake_sample, slow_sample, small_config
-from datagen.building.build import build
-if __name__ == "__main__":
-    build(small_config(), sys.argv[1], 2, sample_function=slow_sample)
-"""
 
 
 def content(root: Path) -> dict[str, bytes]:
@@ -90,40 +80,6 @@ def test_shards_built_one_by_one_make_the_same_dataset(whole: dict[str, bytes], 
 def with_fakes() -> dict[str, str]:
     """An environment in which another process can import the fake samples."""
     return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
-
-
-def start_slow_build(root: Path, script: Path) -> subprocess.Popen[bytes]:
-    """A build in a process of its own, stopped by the caller while shards are under way."""
-    script.write_text(CHILD)
-    child = subprocess.Popen(
-        [sys.executable, str(script), str(root)],
-        env=with_fakes(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        # Where the tests run in the background of a shell, Ctrl-C is ignored, and children would inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    deadline = time.monotonic() + 600
-    while not list(root.glob("build/shard-*.json")):
-        assert time.monotonic() < deadline and child.poll() is None, "the build did not get going"
-        time.sleep(0.02)
-    return child
-
-
-def test_interrupted_build_leaves_whole_shards_only_and_resumes(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    child = start_slow_build(root, tmp_path / "child.py")
-    os.killpg(child.pid, signal.SIGINT)
-    _, errors = child.communicate(timeout=600)
-    assert child.returncode != 0
-    # One traceback, the parent's own KeyboardInterrupt: the workers say nothing.
-    assert errors.decode().count("Traceback") == 1 and "KeyboardInterrupt" in errors.decode()
-    left = content(root)
-    shards = {name.split("/")[3] for name in left if "/c/" in name and name not in COORDINATES}
-    assert shards == {str(int(name[12:18])) for name in left if name.startswith("build/")}
-    build_fakes(small_config(), root)
-    assert content(root) == whole
 
 
 def test_building_again_changes_nothing(whole: dict[str, bytes], dataset: Path) -> None:

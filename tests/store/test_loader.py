@@ -47,7 +47,7 @@ def test_items_are_the_stored_values(dataset: Path) -> None:
         data[12]
 
 
-@pytest.mark.parametrize(("start", "workers"), [("fork", 2), ("spawn", 1)])
+@pytest.mark.parametrize(("start", "workers"), [("fork", 2), pytest.param("spawn", 1, marks=pytest.mark.nightly)])
 def test_loader_workers_give_the_same_batches(
     dataset: Path, monkeypatch: pytest.MonkeyPatch, start: str, workers: int
 ) -> None:
