@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from datagen.bench.foreign_promise import WHOLE, checks_of_foreign, line_of, off
 from datagen.bench.foreign_scenes import foreign_scene, mesh_files
 from datagen.cli import run as run_command
 from datagen.errors import InputError
-from datagen.records import Transient
+from datagen.records import Capture, Scene, Transient
 
 SIMPLE = 3
 """A scene of a few histograms for which 2¹⁶ samples are accurate enough."""
@@ -28,8 +30,8 @@ def test_a_scene_is_a_function_of_its_number() -> None:
 
 
 def test_what_is_drawn_is_what_is_said() -> None:
-    """200 scenes have every BRDF, shape, scan and surrounding, pixels of 2 mm to 20 cm and bins of 20 to 300 ps."""
-    drawn = [foreign_scene(index) for index in range(200)]
+    """100 scenes have every BRDF, shape, scan and surrounding, pixels of 2 mm to 20 cm and bins of 20 to 300 ps."""
+    drawn = [foreign_scene(index) for index in range(100)]
     assert {one.scan for one in drawn} == {"confocal", "exhaustive", "array"}
     assert {one.surroundings for one in drawn} == {"open", "floor", "room"}
     assert {one.max_bounces for one in drawn} == {3, 4}
@@ -66,10 +68,21 @@ def test_the_square_of_an_error_has_no_bias() -> None:
         assert np.sqrt((known**2).mean()) == pytest.approx(square.std(ddof=1), rel=0.3)
 
 
-@pytest.fixture
-def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, small in (("FIRST_SAMPLES", 1 << 17), ("MOST_SAMPLES", 1 << 20)):
-        monkeypatch.setattr(foreign_promise, name, small)
+@pytest.fixture(scope="module")
+def few_samples() -> Iterator[None]:
+    """Few samples of the truth, each run of it drawn once for all tests."""
+    drawn, kept = foreign_promise.reference, dict[tuple[Any, ...], Transient]()
+
+    def once(scene: Scene, capture: Capture, **how: Any) -> Transient:
+        key = scene.vertices.tobytes(), how["samples"], how["seed"]
+        if key not in kept:
+            kept[key] = drawn(scene, capture, **how)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, small in (("FIRST_SAMPLES", 1 << 17), ("MOST_SAMPLES", 1 << 20), ("reference", once)):
+            patch.setattr(foreign_promise, name, small)
+        yield
 
 
 @pytest.mark.usefixtures("few_samples")

@@ -118,8 +118,9 @@ def test_the_contact_sheet_finds_the_exposure_first(monkeypatch: pytest.MonkeyPa
     ],
 )
 def test_requests_that_no_exposure_meets_are_refused_in_a_line(
-    detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str
+    detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
     with pytest.raises(dg.InputError) as refusal:
         dg.with_exposure_found(measurement(detector, contents))
     assert str(refusal.value).startswith("detector.exposure_for = {evidence: ") and words in str(refusal.value)
