@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import detector, forecasts, loaders, scaling
+from benchmarks import detector, evidence, forecasts, loaders, scaling
 from torch.utils.data import IterableDataset
 
 from datagen.config import config_from_mapping
 from datagen.loader import TransientDataset
+from datagen.pipeline import simulate_sample
 
 
 def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
@@ -75,3 +76,16 @@ def test_forecasts() -> None:
     })  # fmt: skip
     name, scenes, _, *cells = forecasts.row(config, 2, 5)
     assert (name, scenes) == ("tiny", "2") and all("→" in cell for cell in cells)
+
+
+def test_evidence_is_that_of_the_samples() -> None:
+    config = config_from_mapping({
+        "scenes": 3, "scene": {"contents": [{"kind": "pillar"}, {"kind": "box", "count": 2}]},
+        "capture": {"scan": {"rows": 1, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
+        "transport": {"target": 0.3},
+    })  # fmt: skip
+    box, pillar, every = evidence.found_in(config, 2, 0.0)
+    assert (every.kind, every.objects) == ("all objects", 6)
+    assert (box.kind, box.objects, pillar.kind, pillar.objects) == ("box", 4, "pillar", 2)
+    of = [simulate_sample(config, k).parameters["evidence.pillar.significance"] for k in range(2)]
+    assert pillar.median == sum(map(float, of)) / 2

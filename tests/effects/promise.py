@@ -12,25 +12,19 @@ would hide. Histograms are compared by their expected values for the same transi
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, EffectsConfig
-from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
+from datagen.detector import detector_for, expected_histogram
 from datagen.effects import EFFECTS, EffectDecisions, decide_detector_effects, decide_transport_effects
-from datagen.errors import InputError
 from datagen.records import Transient
 from datagen.scene import generate_scene
 from datagen.transport import simulate
-
-T = TypeVar("T")
 
 EVERYTHING = EffectsConfig.model_validate({"tolerance": 0.0} | {row.name: "on" for row in EFFECTS})
 """Every effect switched on."""
@@ -45,7 +39,6 @@ class Outcome:
     states : effect → `on`, `off` (left out) or `absent`.
     transient_error, transient_least : relative L2 difference of the transient, and the same less two standard errors.
     histogram_error : of the expected histogram.
-    seconds : stage → processor seconds as decided, deciding included, and with everything on; empty if not measured.
     """
 
     name: str
@@ -53,7 +46,6 @@ class Outcome:
     transient_error: float
     transient_least: float
     histogram_error: float
-    seconds: dict[str, tuple[float, float]]
 
     def broken(self, tolerance: float) -> list[str]:
         """Promises not kept: differences beyond the tolerance, and beyond what noise could be."""
@@ -65,8 +57,8 @@ class Outcome:
         return found
 
 
-def run_case(config: DatasetConfig, times: int = 0) -> Outcome:
-    """The comparison of one scene as decided with the scene with every effect on; with `times`, both are timed."""
+def run_case(config: DatasetConfig) -> Outcome:
+    """The comparison of one scene as decided with the scene with every effect on."""
     scene = generate_scene(config.scene, config.seed, 0)
     capture = capture_for(config, scene, config.seed, 0)
     accuracy, tolerance = config.transport.accuracy(), config.detector.tolerance
@@ -89,29 +81,13 @@ def run_case(config: DatasetConfig, times: int = 0) -> Outcome:
     given = detector_for(config.detector, config.seed, 0, capture.time)
     seen = (full.total, capture.time)
 
-    def detector_decided() -> EffectDecisions:
-        return decide_detector_effects(*seen, *given, config.effects, tolerance)
-
-    def counted(spad: Spad, exposure: Exposure, allowed: float) -> NDArray[np.integer]:
-        return detect(*seen, spad, exposure, tolerance=allowed, approximate=True)
-
-    seconds: dict[str, tuple[float, float]] = {}
-    if times:
-        seconds["transport"] = in_turn(times, lambda: lit(decided(config.effects), 1), lambda: lit(everything, 1))
-        # With everything on there may be more events than can be drawn.
-        with suppress(InputError):
-            seconds["detector"] = in_turn(
-                10 * times,
-                lambda: counted(*detector_decided().apply_detector(*given, tolerance)),
-                lambda: counted(*given, 0.0),
-            )
-    decisions += detector_decided()
+    decisions += decide_detector_effects(*seen, *given, config.effects, tolerance)
     used = decisions.apply_detector(*given, tolerance)[:2]
     mean, reference = (expected_histogram(*seen, *pair, approximate=True) for pair in (used, given))
     norm = float(np.linalg.norm(reference))
     histogram_error = float(np.linalg.norm(mean - reference)) / (norm if norm > 0 else 1.0)
     states = {d.effect: "on" if d.simulated else "off" if d.left_out else "absent" for d in decisions.decisions}
-    return Outcome(config.name, states, error, least, histogram_error, seconds)
+    return Outcome(config.name, states, error, least, histogram_error)
 
 
 def whole(transient: Transient) -> NDArray[np.float64]:
@@ -142,15 +118,3 @@ def difference(
     without = (above.sum() - above) / np.maximum(below.sum() - below, 1e-300)
     spread = float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
     return float(np.sqrt(max(square, 0.0))), float(np.sqrt(max(square - 2 * spread, 0.0)))
-
-
-def in_turn(times: int, first: Callable[[], object], second: Callable[[], object]) -> tuple[float, float]:
-    """Least processor seconds of each call, run in turns: on a busy machine a single time says little."""
-    least = [np.inf, np.inf]
-    for k in range(times):
-        # The first call of a turn finds less of its data in the cache.
-        for which in (0, 1) if k % 2 else (1, 0):
-            before = time.process_time()
-            (first, second)[which]()
-            least[which] = min(least[which], time.process_time() - before)
-    return least[0], least[1]

@@ -42,7 +42,7 @@ def test_random_triangles(count: int, size: float) -> None:
     "mesh",
     [
         trimesh.creation.box((0.9, 0.6, 0.7)),
-        trimesh.creation.icosphere(subdivisions=3, radius=0.8),
+        trimesh.creation.icosphere(subdivisions=2, radius=0.8),
         trimesh.creation.torus(0.7, 0.2, 24, 12),
         trimesh.creation.cylinder(0.4, 1.1, sections=40),
         trimesh.creation.cone(0.5, 1.0, sections=25),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -112,15 +114,12 @@ def test_moving_and_turning_everything_changes_nothing() -> None:
     scene = l_corridor()
     view = scene.hidden_view
     assert view is not None
-    moved = Scene(
+    moved = replace(
+        scene,
         vertices=scene.vertices @ turn.T + away,
-        triangles=scene.triangles,
-        face_part=scene.face_part,
-        part_names=scene.part_names,
-        materials=scene.materials,
-        roles=scene.roles,
         hidden_view=Rectangle(turn @ view.center + away, turn @ view.right, turn @ view.up),
-    )
+        relay_wall=None, hidden_bounds=None, device_position=None,
+    )  # fmt: skip
     here, there = (make_labels(CONFIG, s, IMAGE_FIELDS) for s in (scene, moved))
     np.testing.assert_array_equal(here["part_id"], there["part_id"])
     np.testing.assert_allclose(here["depth"], there["depth"], rtol=1e-6)

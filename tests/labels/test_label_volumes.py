@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from handmade_rooms import box_mesh, l_corridor
+from handmade_rooms import box_mesh, l_corridor, rectangle_mesh
 
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
@@ -25,8 +25,7 @@ MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 
 def scene_of(*meshes: trimesh.Trimesh) -> Scene:
     wall = Rectangle.of((6, 2.5, 1.2), (0, -1.5, 0), (0, 0, 1.2))
-    wall_mesh = trimesh.Trimesh(wall.corners, [[0, 1, 2], [0, 2, 3]], process=False)
-    parts = [Part("relay_wall", wall_mesh, Lambertian(0.8), "relay_wall")]
+    parts = [Part("relay_wall", rectangle_mesh(wall), Lambertian(0.8), "relay_wall")]
     parts += [Part(f"object_{k}", mesh, Lambertian(0.5)) for k, mesh in enumerate(meshes)]
     return Scene.from_parts(parts, hidden_view=wall, hidden_bounds=BOUNDS)
 

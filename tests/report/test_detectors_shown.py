@@ -10,7 +10,7 @@ import pytest
 
 from datagen.building.build import build
 from datagen.config import config_from_mapping
-from datagen.report.replay import Replay, StoredScene, read_scene, replay
+from datagen.report.replay import read_scene, replay
 from datagen.report.show import pages
 from datagen.report.style import house_style, save_png
 
@@ -25,13 +25,10 @@ DETECTORS: dict[str, dict[str, Any]] = {
 """Name → section `detector`; those after lab_si have no exact mean."""
 EXACT = ("ideal", "lab_si")
 
-Shown = tuple[str, StoredScene, Replay]
-"""Name of a detector, a scene that it counted, and the scene simulated again."""
 
-
-@pytest.fixture(scope="module", params=DETECTORS)
-def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Shown:
-    name = request.param
+@pytest.mark.parametrize("name", DETECTORS)
+def test_the_caption_claims_what_holds(name: str, tmp_path: Path) -> None:
+    """The page of counts is drawn, and its caption says what kind of mean that is."""
     bright = {"photons_per_pulse": 3e8, "cycles": 20_000, "repetition_rate_mhz": 5}
     config = config_from_mapping(
         {
@@ -46,15 +43,9 @@ def shown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
             "store": {"fields": ["histogram", "transient"]},
         }
     )
-    root = tmp_path_factory.mktemp(name) / "set.zarr"
-    build(config, root, progress=False)
-    stored = read_scene(root, 0)
-    return name, stored, replay(stored)
-
-
-def test_the_caption_claims_what_holds(shown: Shown, tmp_path: Path) -> None:
-    """The page of counts is drawn, and its caption says what kind of mean that is."""
-    name, stored, again = shown
+    build(config, tmp_path / "set.zarr", progress=False)
+    stored = read_scene(tmp_path / "set.zarr", 0)
+    again = replay(stored)
     with house_style():
         (figure,) = dict(pages(stored, again, ["histogram"])).values()
         assert save_png(figure, tmp_path / "histogram.png").stat().st_size > 0

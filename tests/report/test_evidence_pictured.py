@@ -35,6 +35,7 @@ def page(parameters: dict[str, float], shares: dict[str, float] = SIGMA) -> Figu
         figure = evidence_page(*scene_of(parameters, shares))
         assert figure is not None
         figure.set_dpi(40)
+        figure.set_layout_engine("none")
         figure.canvas.draw()
     return figure
 

@@ -97,6 +97,7 @@ def test_noise_of_scenes_made_in_python_is_drawn_anew(given: Path) -> None:
     assert (first != second).any() and first.sum() > 0
 
 
+@pytest.mark.usefixtures("without_ticks")
 @pytest.mark.parametrize("kind", ["grid", "lists", "one", "single", "dark"])
 def test_imported_captures(kind: str, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
