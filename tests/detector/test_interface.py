@@ -247,12 +247,9 @@ def test_classes_stay_in_their_ranges_and_are_correlated(name):
         ]  # fmt: skip
         assert min(values) >= r.low * (1 - 1e-12) and max(values) <= r.high * (1 + 1e-12), key
         assert r.low == r.high or np.ptp(values) > 0.5 * (r.high - r.low) or r.log
-    rank = [np.argsort(np.argsort([getattr(s, k) for s, _ in drawn])) for k in ("pde", "dark_count_rate_hz")]
-    assert np.corrcoef(*rank)[0, 1] > 0.3
-    rank = [
-        np.argsort(np.argsort([getattr(s, k) for s, _ in drawn])) for k in ("dead_time_s", "afterpulse_probability")
-    ]
-    assert np.corrcoef(*rank)[0, 1] < -0.3
+    for pair, sign in ((("pde", "dark_count_rate_hz"), 1), (("dead_time_s", "afterpulse_probability"), -1)):
+        ranks = [np.argsort(np.argsort([getattr(s, k) for s, _ in drawn])) for k in pair]
+        assert sign * np.corrcoef(*ranks)[0, 1] > 0.3
 
 
 def test_configured_numbers_replace_those_of_the_class_and_scenes_are_independent():

@@ -77,13 +77,6 @@ def test_synchronous_chains(flux, length):
     mean_is(got, cycles * mean_detections(lam[None], cycle_of_test(), spad)[0], f"synchronous, {flux}, {length}")
 
 
-def test_return_chain_with_a_dead_time_below_one_bin():
-    lam, tau, cycles = shape_of(4.0), 0.37 * WIDTH, 500
-    pieces = pieces_of(lam, EDGES, WIDTH, tau, shorter_than_dead_time=True)
-    got = drawn(lambda stream: draw_return_chain(pieces, BINS, cycles, stream), 5)
-    same_law(got, truth(lam, Rule(tau, synchronous=True), cycles, 6), "synchronous, dead time 0.37 bin")
-
-
 @pytest.mark.parametrize("flux", FLUXES)
 @pytest.mark.parametrize("length", DEAD_TIMES)
 @pytest.mark.parametrize("mode", ["free_running", "synchronous"])

@@ -22,6 +22,14 @@ TINY = Sizes(rays=(6, 9), pixels=12, reference=1 << 13)
 IMAGES = {"figure_3.png", "figure_5.png", "figure_7.png", "figure_9.png"}
 
 
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise InputError("stopped on the way")
+
+    monkeypatch.setattr(command, "run_all", stop)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """By the command, with still fewer rays than `--quick`."""
@@ -48,15 +56,9 @@ def test_one_folder_holds_page_pictures_and_numbers(folder: Path) -> None:
     assert np.argmax(cases["converged, 0, all"]["curves"]["box"]) == pytest.approx(250, abs=4)
 
 
-def test_an_earlier_reproduction_is_replaced_and_other_files_are_not(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("stopped")
+def test_an_earlier_reproduction_and_other_files_are_kept(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "index.html").read_bytes()
-
-    def stop(*_: object) -> None:
-        raise InputError("stopped on the way")
-
-    monkeypatch.setattr(command, "run_all", stop)
     assert run(["reproduce", str(folder), "--quick"]) == 2
     assert capsys.readouterr().err == "datagen: stopped on the way\n"
     assert (folder / "index.html").read_bytes() == before
@@ -67,16 +69,10 @@ def test_an_earlier_reproduction_is_replaced_and_other_files_are_not(
     (folder.parent / "notes.txt").unlink()
 
 
+@pytest.mark.usefixtures("stopped")
 @pytest.mark.parametrize("place", ["file/below", "new/deep/out"])
-def test_a_failure_leaves_nothing(
-    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failure_leaves_nothing(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("mine")
-
-    def stop(*_: object) -> None:
-        raise InputError("stopped on the way")
-
-    monkeypatch.setattr(command, "run_all", stop)
     assert run(["reproduce", str(tmp_path / place), "--quiet"]) == 2
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and "Traceback" not in message
