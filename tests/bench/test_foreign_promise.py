@@ -18,6 +18,7 @@ from datagen.cli import run as run_command
 from datagen.errors import InputError
 from datagen.records import Capture, Scene, Transient
 
+MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 SIMPLE = 3
 """A scene of a few histograms for which 2¹⁶ samples are accurate enough."""
 
@@ -128,3 +129,13 @@ def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_bad_calls(wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["bench", "promise", str(tmp_path), *wrong]) == 2
     assert "--foreign" in capsys.readouterr().err
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("index", [6101, 6145])
+def test_retroreflecting_meshes_keep_their_claim_where_a_pixel_is_as_wide_as_the_lobe(index: int) -> None:
+    """The own light of these meshes once was 29 and 8 % off, with 8 and 3 % claimed."""
+    if not (MESHES / "stanford-bunny.obj").is_file():
+        pytest.skip("real meshes are not part of the repository; put them into shared/meshes beside the checkout")
+    checks = checks_of_foreign(index, [0.02], MESHES)
+    assert not [line_of(one) for one in checks if one.overclaimed]

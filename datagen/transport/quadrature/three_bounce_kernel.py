@@ -71,6 +71,9 @@ PLACES = 2.0**20
 TURNS, FEWEST = 16, 1 / 64
 """Light of an element up to which one quarter of an uneven footprint stands for all four: relative to the error
 that an element may make, and to the upper bound of all the part's light."""
+CROSSED = 0.05
+"""Change of a lobe over a footprint, relative to the lobe, up to which the footprint's middle stands for it. Half of
+it changes little: boxes then take turns with quarters at one level more."""
 DROPPED, OPENED, QUARTERED, ONE_POINT, CUT, CLEAR, SPREAD = range(7)
 """What becomes of a box or element: it brings no light; what is in the box is put on the stack; it is put on the
 stack once for each quarter of the footprint; one random point stands for the box; the element is halved; it waits
@@ -241,9 +244,12 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
                 top = push_halves(room, top, side, (y, 0.0, 0.0), FRESH, at, q, candidates)
             continue
         view = _view(scan, lit, p, q, k, share, row)
-        becomes = SPREAD
+        becomes, only = SPREAD, -1
         if what == BOX:
             becomes = _of_box(scan, lit, view, at, k)
+            if becomes == ONE_POINT and _lobe_crosses(view, tree.box, at):
+                # The footprint's middle errs alike for all boxes: a quarter, chosen in turn, stands for all four.
+                becomes, only, turn = QUARTERED, _digit(turn, share), turn + (share == 1.0)
             if becomes == ONE_POINT:
                 counted, asked = _one_point(scan, lit, view, at, k, candidates, room.listed, tally, into)
                 cells, rays = cells + counted, rays + asked
@@ -267,7 +273,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
                 if becomes == CUT:
                     candidates = _narrow(scan, lit, view, element, candidates, room, top)
         if becomes == QUARTERED:
-            top = _quarter(scan, room, top, what, at, q, candidates, -1)
+            top = _quarter(scan, room, top, what, at, q, candidates, only)
         elif what == BOX:
             top = _open(scan, room, top, at, q, candidates)
         elif becomes == CUT:
@@ -375,6 +381,14 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     if small and view.quarters and view.size > 0.3 * near3:
         return QUARTERED
     return ONE_POINT if small else OPENED
+
+
+@compiled(**STEP)
+def _lobe_crosses(view, box, at):  # type: ignore[no-untyped-def]
+    """Whether a lobe on the path may change over a footprint that has quarters, as seen from box `at`."""
+    m, h = bounding_sphere(box, at)
+    near = max(distance(m, view.z) - h, 0.0)
+    return view.quarters and view.keen > 1.0 and view.keen * view.size * view.size > CROSSED * near * near
 
 
 @compiled(**STEP)
