@@ -26,7 +26,7 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
 from datagen.records.arrays import Floats
-from datagen.transport.binning import put
+from datagen.transport.binning import add_to_bin
 from datagen.units import path_from_time
 
 OLDEST_LLVM = 16
@@ -255,4 +255,4 @@ def _quadrature(
                 cosines = to_wall * to_plate
                 energy = scale * (cosines / (square * square)) ** 2
                 position = 2.0 * math.sqrt(square) * per_metre - start
-                put(out[p], position, energy)
+                add_to_bin(out[p], position, energy)

@@ -18,7 +18,7 @@ from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, h
 from datagen.records import Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import check_choice, check_integer, check_kind, check_number
-from datagen.transport.binning import put
+from datagen.transport.binning import add_to_bin
 from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
 Secondary = Literal["all", "strongest", "none"]
@@ -209,6 +209,6 @@ def _add_primary(
         # Paths are listed lookin by lookin, and for each of them pixel by pixel.
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
-            overflow[pixel] += put(
+            overflow[pixel] += add_to_bin(
                 parts[part[lookin], pixel], position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
             )

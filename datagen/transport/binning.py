@@ -7,7 +7,7 @@ from datagen.records.arrays import Floats
 
 
 @compiled(inline="always")
-def put(histogram: Floats, position: float, energy: float) -> float:
+def add_to_bin(histogram: Floats, position: float, energy: float) -> float:
     """The energy that falls outside the window: 0 after `energy` was added to a bin, else all of it.
 
     position : fractional bin; bin i spans i … i + 1. A contribution goes whole into one bin, so that narrow bins add

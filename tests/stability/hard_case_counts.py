@@ -15,7 +15,7 @@ from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
 from datagen.detector.random_numbers import binomial, streams_of
 from datagen.records.arrays import Floats
-from datagen.transport.binning import put
+from datagen.transport.binning import add_to_bin
 
 TIME = TimeAxis(100, 1e-9)
 mpmath.mp.dps = 60
@@ -168,8 +168,8 @@ def arrival_time() -> HardCase:
     positions = rng.uniform(4, bins - 4, 2000)
     narrow, wide = np.zeros(bins), np.zeros(bins // 4)
     for x in positions:
-        put(narrow, float(x), 1.0)
-        put(wide, float(x) / 4, 1.0)
+        add_to_bin(narrow, float(x), 1.0)
+        add_to_bin(wide, float(x) / 4, 1.0)
     split = [_shared(positions, bins).reshape(-1, 4).sum(axis=1), _shared(positions / 4, bins // 4)]
     return HardCase(
         "Paths in bins of 1 ps, added up to bins of 4 ps",

@@ -25,7 +25,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.binning import put
+from datagen.transport.binning import add_to_bin
 
 SUB_BINS = 4
 """Sub-bins per bin of the window. A power of two, so that bins and sub-bins share their edges to the last bit. With
@@ -137,7 +137,7 @@ def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
                     energy = ins.energy[i] * outs.energy[j]
                     if energy > 0.0:
                         position = ins.position[i] + outs.position[j]
-                        sums.overflow[p] += put(sums.transient[p], position, energy)
+                        sums.overflow[p] += add_to_bin(sums.transient[p], position, energy)
 
 
 @compiled()

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.binning import put
+from datagen.transport.binning import add_to_bin
 from datagen.transport.brdf import LAMBERTIAN, Materials, MaterialTable, Vector, dot, evaluate, pdf
 from datagen.transport.fields_of_view import FovPool, PixelCones, PixelPatches
 from datagen.transport.memory import VALUES_AT_ONCE
@@ -351,7 +351,7 @@ def deposit(arrivals: Arrivals, hidden: Bools, tally: Tally) -> None:
     for k in range(len(arrivals.row)):
         if not hidden[k]:
             row = arrivals.row[k]
-            tally.overflow[row] += put(tally.histogram[row], arrivals.position[k], arrivals.energy[k])
+            tally.overflow[row] += add_to_bin(tally.histogram[row], arrivals.position[k], arrivals.energy[k])
 
 
 @compiled()

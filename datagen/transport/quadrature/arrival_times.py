@@ -15,12 +15,15 @@ from datagen.records.arrays import Floats
 
 @compiled()
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
-    """Arrival times at the three vertices of a triangle whose times have the mean of a, b, c and a variance that is
-    larger by `variance`, bins²: the light of an element as seen from a footprint that is not a point."""
+    """Arrival times, bins, at the three vertices of a triangle whose times have the mean of a, b and c and a variance
+    that is larger by `variance`, bins²: those of an element seen from a footprint that is not a point."""
     mean = (a + b + c) / 3.0
-    own = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
-    stretch, half = math.sqrt(1.0 + variance / own), math.sqrt(6.0 * (variance + own))
-    stretched = own > 0.01 * variance
+    of_element = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
+    # Times that differ are stretched about their mean. Those of an element much smaller than the footprint say
+    # nothing about the shape; a symmetric triangle of times from mean − half to mean + half has the variance half² /
+    # 6.
+    stretch, half = math.sqrt(1.0 + variance / of_element), math.sqrt(6.0 * (variance + of_element))
+    stretched = of_element > 0.01 * variance
     return (
         mean + (a - mean) * stretch if stretched else mean - half,
         mean + (b - mean) * stretch if stretched else mean,
@@ -32,7 +35,7 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
 def spread(
     histogram: Floats, row: int, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> float:
-    """Add `energy` to the bins of a row as it arrives from a triangle; returns the energy outside of the bins.
+    """Energy outside the bins, after `energy` was added to a row of bins as it arrives from a triangle.
 
     histogram : (rows, T) bin i spans times i … i + 1.
     a, b, c : arrival times at the vertices, in bins; linear in between.
@@ -50,12 +53,15 @@ def tent(
     By time a + x ≤ b, x² (low + x · up) of the energy has arrived; at time c − x ≥ b, x² (high + x · down) is still
     to come.
     """
+    # Three exchanges without branches sort the vertices by time.
     a, b, at_a, at_b = (b, a, at_b, at_a) if a > b else (a, b, at_a, at_b)
     b, c, at_b, at_c = (c, b, at_c, at_b) if b > c else (b, c, at_b, at_c)
     a, b, at_a, at_b = (b, a, at_b, at_a) if a > b else (a, b, at_a, at_b)
+    # Where all weights are zero, the energy comes from all of the triangle alike.
     whole = (at_a + at_b + at_c) / 3.0
     at_a, at_b, at_c, whole = (1.0, 1.0, 1.0, 1.0) if whole <= 0.0 else (at_a, at_b, at_c, whole)
     scale = energy / whole / (c - a)
+    # Two vertices at one time leave one of the two smaller triangles empty.
     early, late = 1.0 / (b - a), 1.0 / (c - b)
     early, late = early if b > a else 0.0, late if c > b else 0.0
     low, high = scale * early * at_a, scale * late * at_c
@@ -68,26 +74,31 @@ def tent(
 def pour(
     histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
 ) -> float:
-    """Add `energy` to the bins of a row with the distribution of a `tent`; returns the energy outside of the bins."""
+    """Energy outside the bins, after `energy` was added to a row of bins with the distribution of a `tent`."""
     a, b, c, low, up, high, down = shape
     bins = histogram.shape[1]
+    # Beyond 1e15 bins, whole numbers are no longer exact; NaN fails each comparison.
     if not (c > 0.0 and a < bins and c < 1e15 and a > -1e15):
         return energy
     first = math.floor(a)
+    # All of it falls into one bin, and is added there without the rounding of differences.
     if c < first + 1 or not c > a:
         if not 0.0 <= b < bins:
             return energy
         histogram[row, int(b)] += energy
         return 0.0
     stop, outside = min(bins, math.ceil(c)), 0.0
+    # What arrives before the window opens.
     if first < 0:
         outside = a * a * (low - a * up) if b >= 0.0 else energy - c * c * (high + c * down)
+    # Each bin gets the difference of what has arrived by its two edges: up to the middle vertex from the start …
     before, middle = outside, min(stop, math.floor(b))
     for i in range(max(first, 0), middle):
         x = i + 1.0 - a
         now = x * x * (low + x * up)
         histogram[row, i] += now - before
         before = now
+    # … and after it from the end, so that small differences of nearly all the energy keep their digits.
     left = energy - before
     for i in range(max(first, middle, 0), stop):
         x = max(c - (i + 1.0), 0.0)

@@ -18,7 +18,7 @@ from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.geometry import half, subtract, transmittance
 from datagen.transport.quadrature.arrival_times import pour, tent, widened
 from datagen.transport.quadrature.waiting import KEPT, push
-from datagen.transport.quadrature.weights import AT_ONCE, outside, smeared, verdict
+from datagen.transport.quadrature.weights import AT_ONCE, outside, path_variance, verdict
 from datagen.transport.visibility.bvh import SMALLEST
 
 WIDE = 64
@@ -111,7 +111,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-untyped-def]
+def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-def]
     """Set the verdicts of a batch whose weights in the middle are known: DROPPED, SPREAD, CUT or QUARTERED."""
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
@@ -124,13 +124,13 @@ def _verdicts(batch, count, x, n1, limit, allowed, clock):  # type: ignore[no-un
         r1, r3, size = batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j], batch[SIZE * WIDE + j]
         unseen = outside(paths, r1 + r3, batch[LEGS * WIDE + j], size, opens, closes)
         view = (batch[GAIN * WIDE + j], batch[FOOTPRINT * WIDE + j], size, batch[QUARTERS * WIDE + j] > 0.0)
-        cut, quarter, over, bend = verdict(
-            paths, (batch[AREA * WIDE + j], w), (batch[LONG * WIDE + j], r1, r3), view, (limit, 1.0, allowed),
+        cut, quarter, norm, bend = verdict(
+            paths, (batch[AREA * WIDE + j], w), (batch[LONG * WIDE + j], r1, r3), view, (1.0, allowed),
             (per_metre, attenuation), unseen,
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
-        gone = (above1 <= 0.0) | (above3 <= 0.0) | (not (quarter | (over > 0.0)))
+        gone = (above1 <= 0.0) | (above3 <= 0.0) | (not (quarter | (norm > 0.0)))
         batch[VERDICT * WIDE + j] = DROPPED if gone else becomes
         batch[BEND * WIDE + j] = bend
 
@@ -148,7 +148,7 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
         c = batch[14 * WIDE + j] * per_metre + zero
         d3, to_sensor = subtract(_at(batch, POINT, j), _at(batch, SEEN_FROM, j)), _at(batch, TO_SENSOR, j)
         side, other = _at(batch, ACROSS, j), _at(batch, ACROSS + 3, j)
-        variance = smeared(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
+        variance = path_variance(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
         wide_a, wide_b, wide_c = widened(a, b, c, variance)
         large = batch[SIZE * WIDE + j] * per_metre > AT_ONCE
         a, b, c = wide_a if large else a, wide_b if large else b, wide_c if large else c
@@ -203,7 +203,7 @@ def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  
         _taken(clear, waiting, count, batch, scan.tree.normal, p, lit, clock.device, scan.patches)
         _middles(batch, count)
         light_at_points(batch, count, x, n1, clock.attenuation)
-        _verdicts(batch, count, x, n1, scan.cutting.coarsest, allowed, clock)
+        _verdicts(batch, count, x, n1, allowed, clock)
         _tents(batch, count, clock.per_metre, clock.start)
         halves = 0
         for j in range(min(count, WIDE)):

@@ -16,9 +16,8 @@ from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroref
 from datagen.seeding import LightStream
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
-from datagen.transport.quadrature.clusters import COARSEST
 from datagen.transport.quadrature.footprints import Patches, at_edges
-from datagen.transport.quadrature.mesh_rays import KEENEST, LEVEL, TRIANGLES, Outlines, gather_by_rays
+from datagen.transport.quadrature.mesh_rays import LEVEL, SHARPEST, TRIANGLES, Outlines, gather_by_rays
 from datagen.transport.quadrature.three_bounce_kernel import Room, gather
 from datagen.transport.quadrature.weights import AT_ONCE
 from datagen.transport.sampling import stream_seeds
@@ -27,17 +26,18 @@ from datagen.transport.visibility.occluder_rows import Occluders
 from datagen.units import path_from_time
 
 LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
-"""Fewest and most times that a pixel which sees one flat surface is quartered; number of pixels whose size is
-measured for that; and size, relative to the scene and to the narrowest lobe, up to which a pixel counts as a point
-and is not quartered. With one quartering instead of two, trials of a pixel inside an open ball agreed with each
-other on 3 % too little light."""
+"""Fewest and most times that a pixel which sees one flat surface is quartered (with one instead of two, trials of a
+pixel inside an open ball agreed with each other on 3 % too little light); number of pixels whose size is measured
+for that (half as many may miss the largest pixel); and size, relative to the scene and to the narrowest lobe, up to
+which a pixel counts as a point and is not quartered (half of it quarters pixels in vain)."""
 RAY_FOOTPRINT = 0.35
 """Largest footprint that is connected with the hit of a ray, relative to its distance from there and to the square
 root of the error asked of an object's light. With twice as much, a pixel on the facets of a ball around it was 2 %
 off."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
-"""Times that pixels which see more than one surface are quartered: as many as leave at most this number of footprints
-of all such pixels. Errors of one pixel's footprints average out over many pixels, so that many pixels need fewer."""
+"""Times that pixels which see more than one surface may be quartered in the first trial, and most footprints of all
+such pixels together, which decides between them. Errors of one pixel's footprints average out over many pixels, so
+that many pixels need fewer. Half of the second takes one quartering less from many pixels."""
 
 
 class Lasers(NamedTuple):
@@ -61,7 +61,6 @@ class Cutting(NamedTuple):
         left out.
     sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
     peak : (K,) upper bound of each part's BRDF, 1/sr.
-    coarsest : largest element, relative to its distance.
     rays_on_last_leg : whether shadow rays between elements and the pixel are cast.
     proofs : whether shadow rays are saved where it is proven that nothing can stand in their way.
     seed : (K,) seed of the random points on each part.
@@ -70,7 +69,6 @@ class Cutting(NamedTuple):
     error: Floats
     sharp: Floats
     peak: Floats
-    coarsest: float
     rays_on_last_leg: bool
     proofs: bool
     seed: Ints
@@ -96,7 +94,8 @@ class Clock(NamedTuple):
 
 class Scan(NamedTuple):
     """All that the kernel reads: surfaces (`tree`), triangles that can hide something (`occluders`), laser points,
-    footprints (`patches`), BRDFs (`kind` (K,) and `values` (K, n)), how finely to cut, and the clock."""
+    footprints of the pixels (`patches`), BRDFs (`kind` (K,) and `values` (K, n)), how finely surfaces are cut into
+    elements (`cutting`), and arrival times (`clock`)."""
 
     tree: Hierarchy
     occluders: Occluders
@@ -113,7 +112,7 @@ class Tally(NamedTuple):
 
     Attributes
     ----------
-    row_of_pair, row_of_part : (n,) first row of each pair, to which (K,) is added for each part.
+    row_of_pair, row_of_part : (n,) and (K,) indices; the light of a pair by way of a part goes into their sum's row.
     histogram, overflow : (rows, T) and (rows,) photons within the window and outside.
     work : (K, 2) number of elements whose light was added, and of shadow rays.
     """
@@ -144,9 +143,9 @@ class Gathered:
 
 @dataclass(frozen=True)
 class Seen:
-    """Some pairs, with the footprints of their pixels.
+    """A batch of n pairs of laser point and pixel, with the footprints of their pixels.
 
-    which : (n,) index of each among the pairs that were asked for. pairs : (n, 2) laser point and row of `patches`.
+    which : (n,) index of each pair among all pairs. pairs : (n, 2) indices of laser point and of row in `patches`.
     """
 
     which: Ints
@@ -156,7 +155,14 @@ class Seen:
 
 @dataclass(frozen=True)
 class Gathering:
-    """A scene and a capture in the arrays that the kernel reads."""
+    """A scene and a capture in the arrays that the kernel reads.
+
+    Attributes
+    ----------
+    width : (K,) half width of the narrowest lobe of each part, rad.
+    peak : (K,) upper bound of each part's BRDF, 1/sr.
+    at_edge : (P,) whether a pixel sees more than one surface, or past the edge of one.
+    """
 
     task: Problem
     tree: Hierarchy
@@ -164,12 +170,8 @@ class Gathering:
     lasers: Lasers
     clock: Clock
     width: Floats
-    """(K,) rad, half width of the narrowest lobe of each part."""
     peak: Floats
     at_edge: Bools
-    """(P,) whether a pixel sees more than one surface, or past the edge of one."""
-    coarsest: float = COARSEST
-    """Largest element, relative to its distance."""
 
     @classmethod
     def of(cls, task: Problem) -> Gathering:
@@ -183,25 +185,27 @@ class Gathering:
         clock = Clock(
             per_metre, start, axis.origin == "source", air, start / per_metre, (start + axis.bins) / per_metre
         )
+        # The peak of a lobe is at most 1/width² times that of a matt surface with the same albedo, which is added.
         width = np.array([lobe_width(material) for material in task.scene.materials])
         lobes = np.array([not isinstance(material, Lambertian) for material in task.scene.materials])
         peak = task.materials.values[:, 0] / math.pi * (1.0 / width**2 + lobes)
         tree = Hierarchy.of(task.scene)
-        past = np.isinf(task.patches.radius)
-        at_edge = past | at_edges(task.caster, task.scene, task.capture.sensor, task.cones)
+        # The radius is infinite where some line of sight of the pixel meets nothing.
+        at_edge = np.isinf(task.patches.radius)
+        at_edge |= at_edges(task.caster, task.scene, task.capture.sensor, task.cones)
         return cls(
             task, tree, Occluders.of(task.scene, tree), lasers, clock, width, peak, at_edge,
         )  # fmt: skip
 
     @cached_property
     def by_rays(self) -> Bools:
-        """(K,) whether the light of a part comes by rays (`mesh_rays.py`): that of meshes of many triangles, unless a
-        lobe on the path is narrow."""
+        """(K,) whether the light of each part comes by rays (`mesh_rays.py`): that of meshes of many triangles,
+        unless a lobe on the path is narrow."""
         scene, sharp = self.task.scene, 1.0 / self.width**2
         # Any surface but an object may hold a laser point or a pixel.
         ends = np.array([role != "object" for role in scene.roles])
-        keen = np.maximum(sharp, sharp[ends].max(initial=1.0))
-        return np.asarray((np.bincount(scene.face_part, minlength=len(sharp)) >= TRIANGLES) & (keen <= KEENEST))
+        sharpest = np.maximum(sharp, sharp[ends].max(initial=1.0))
+        return np.asarray((np.bincount(scene.face_part, minlength=len(sharp)) >= TRIANGLES) & (sharpest <= SHARPEST))
 
     @cached_property
     def outlines(self) -> Outlines:
@@ -220,7 +224,7 @@ class Gathering:
             return 0
         middle, radius = self.outlines.middle[meshes], self.outlines.radius[meshes]
         near = np.linalg.norm(patches.center[even, None] - middle, axis=2) - radius
-        # Of a mesh about the pixel the distance is not known, and all levels are wanted.
+        # The pixel may lie within a mesh's bounding sphere: the distance is then negative, and all levels are wanted.
         wanted = (
             2.0 * patches.radius[even] <= self.ray_footprint * near.min(axis=1) * 2.0 ** np.arange(LEVEL)[:, None]
         )
@@ -228,12 +232,12 @@ class Gathering:
 
     @property
     def lobed(self) -> bool:
-        """Whether some surface is not of Lambert's law."""
+        """Whether some surface is not Lambertian."""
         return bool(self.task.materials.kind.any())
 
     def levels(self) -> int:
-        """Most times that pixels which see one flat surface are quartered: once more than makes footprints of one
-        bin."""
+        """Most times that pixels which see one flat surface are quartered: once more than brings the size of their
+        footprints down to one bin."""
         even = np.flatnonzero(~self.at_edge)
         size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
         if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
@@ -241,35 +245,36 @@ class Gathering:
         return max(int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS)), self.ray_levels())
 
     def edge_levels(self) -> int:
-        """Times that pixels at edges are quartered in the first trial."""
+        """Times that pixels which see more than one surface are quartered in the first trial."""
         return max((k for k in EDGE_LEVELS if self.at_edge.sum() * 4**k <= MOST_AT_EDGES), default=1)
 
     def seen(self, pairs: Ints, levels: int, edge_levels: int | None = None) -> Iterator[Seen]:
-        """Footprints of the pixels of some pairs (n, 2), in batches that have room in memory.
+        """Footprints of the pixels of pairs (n, 2), in batches of pairs whose footprints fit into memory.
 
-        levels : times that pixels which see one flat surface are quartered. edge_levels : the same for pixels at
-        edges; `self.edge_levels()` if None.
+        levels, edge_levels : times that pixels which see one flat surface, and pixels at edges, are quartered; the
+        latter `self.edge_levels()` if None.
         """
         at_edge, edge_levels = self.at_edge[pairs[:, 1]], self.edge_levels() if edge_levels is None else edge_levels
-        for quartered, some in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
-            some = some[np.argsort(pairs[some, 1], kind="stable")]
-            first = np.flatnonzero(np.diff(pairs[some, 1], prepend=-1))
-            for which in np.split(some, first[:: max(VALUES_AT_ONCE // 32 >> 2 * quartered, 1)][1:]):
+        for quartered, alike in ((levels, np.flatnonzero(~at_edge)), (edge_levels, np.flatnonzero(at_edge))):
+            # All pairs of one pixel come in one batch, so that its footprints are computed once.
+            alike = alike[np.argsort(pairs[alike, 1], kind="stable")]
+            first = np.flatnonzero(np.diff(pairs[alike, 1], prepend=-1))
+            for which in np.split(alike, first[:: max(VALUES_AT_ONCE // 32 >> 2 * quartered, 1)][1:]):
                 if len(which):
-                    pixels, own = np.unique(pairs[which, 1], return_inverse=True)
-                    local = np.stack([pairs[which, 0], own.reshape(-1)], axis=1)
+                    pixels, row = np.unique(pairs[which, 1], return_inverse=True)
+                    local = np.stack([pairs[which, 0], row.reshape(-1)], axis=1)
                     yield Seen(which, local, patches_of(self.task, pixels, quartered))
 
     def gathered(
         self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
         matt: bool = False,
     ) -> Gathered:  # fmt: skip
-        """The light of some pairs (n, 2) of laser point and pixel, that of part k in row row_of_part[k].
+        """The light of pairs (n, 2) of laser point and pixel, by way of part k in row row_of_part[k].
 
-        seen : the pairs in batches, from the method of that name.
+        seen : the pairs in batches, from the method `seen`.
         error : (K,) L2 error that one element of each part may make, photons; infinite for parts to be left out.
-        draw : (K,) number of the draw of each part's random points; zeros if None.
-        matt : whether every surface is taken to follow Lambert's law with its albedo.
+        draw : (K,) index of the set of random points on each part; zeros if None.
+        matt : whether every surface is taken as Lambertian with its albedo.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
@@ -279,22 +284,22 @@ class Gathering:
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
         cutting = Cutting(
-            error, sharp, self.peak, self.coarsest, task.accuracy.occlusion != "off",
-            task.accuracy.occlusion == "auto", seed.astype(np.int64),
+            error, sharp, self.peak, task.accuracy.occlusion != "off", task.accuracy.occlusion == "auto",
+            seed.astype(np.int64),
         )  # fmt: skip
         room = Room.new()
-        for some in seen:
+        for batch in seen:
             scan = Scan(
-                self.tree, self.occluders, self.lasers, some.patches, materials.kind, materials.values, cutting,
+                self.tree, self.occluders, self.lasers, batch.patches, materials.kind, materials.values, cutting,
                 self.clock,
             )  # fmt: skip
-            tally = Tally(some.which, row_of_part * len(pairs), histogram, overflow, work)
-            gather(some.pairs, scan, self.by_rays, tally, room)
+            tally = Tally(batch.which, row_of_part * len(pairs), histogram, overflow, work)
+            gather(batch.pairs, scan, self.by_rays, tally, room)
             if self.by_rays.any():
                 gather_by_rays(
-                    task.caster, task.scene.face_part, some.pairs, scan, self.outlines, tally, self.ray_footprint
+                    task.caster, task.scene.face_part, batch.pairs, scan, self.outlines, tally, self.ray_footprint
                 )
-        # Row by row, so that each is one piece of memory.
+        # In `histogram` the pairs of one row follow each other.
         of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
         return Gathered(
             np.moveaxis(of_rows, 0, 1), overflow.reshape(rows, len(pairs)).sum(axis=0), work[:, 0], work[:, 1]
@@ -302,7 +307,7 @@ class Gathering:
 
 
 def patches_of(task: Problem, pixels: Ints, levels: int) -> Patches:
-    """The footprints of some pixels, quartered at most `levels` times."""
+    """The footprints of the pixels with the given indices, quartered at most `levels` times."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
 
 

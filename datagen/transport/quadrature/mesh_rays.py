@@ -28,14 +28,14 @@ from datagen.transport.brdf import dot, in_frame_of
 from datagen.transport.geometry import corner, distance, get, put, subtract, unit
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.quadrature.arrival_times import spread, widened
-from datagen.transport.quadrature.weights import smear, weight
+from datagen.transport.quadrature.weights import footprint_variance, weight
 from datagen.transport.sampling import mix, word_of
 from datagen.transport.visibility.raycast import Raycaster
 
 TRIANGLES = 400
 """Triangles from which a part is a mesh. From 64 on, rooms with furniture took 1.3 to 1.8 times as long; from 1500 on
 some rooms took 1.3 times as long."""
-KEENEST = 16.0
+SHARPEST = 16.0
 """1/width² of the narrowest lobe, rad⁻², up to which rays are sent: of a narrower one a lattice may miss the few
 normals that bring all the light, and elements are cut where they are."""
 LEAST, MOST = 64, 1 << 17
@@ -304,7 +304,9 @@ def _connect(pairs, scan, fans, fan, start, hits, face_part, offset, wide, tally
             # Edge-on a cell reaches far beyond the mesh.
             one = min(abs(size * (dot(h, along) + dot(h, d) * dot(n, along) / steep)), reach)
             other = min(abs(size * (dot(h, across) + dot(h, d) * dot(n, across) / steep)), reach)
-            variance = (one * one + other * other) / 12 + smear(back3, seen[2], clock.device, patches.across, p, q)
+            variance = (one * one + other * other) / 12 + footprint_variance(
+                back3, seen[2], clock.device, patches.across, p, q
+            )
             device = lasers.leg[i] + patches.leg[p, q] if clock.device else 0.0
             found.photons[m] = w * area * lasers.power[i] * patches.weight[p, q] * share
             found.at[m] = (r1 + r3 + device) * clock.per_metre - clock.start

@@ -23,11 +23,11 @@ from datagen.transport.quadrature.arrival_times import spread, widened
 from datagen.transport.quadrature.clear_elements import put_clear, room_for_clear, spread_clear
 from datagen.transport.quadrature.clusters import (
     COARSEST,
-    anywhere,
     facing_at_most,
     is_small,
+    point_on_triangle,
+    point_on_triangles,
     side_turned,
-    somewhere,
 )
 from datagen.transport.quadrature.waiting import (
     BOX,
@@ -46,9 +46,9 @@ from datagen.transport.quadrature.waiting import (
 from datagen.transport.quadrature.weights import (
     AT_ONCE,
     OUTSIDE,
-    brightest,
+    footprint_variance,
+    light_at_most,
     outside,
-    smear,
     verdict,
     weight,
     weight_at_most,
@@ -314,7 +314,7 @@ def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
     keen = max(cutting.sharp[lit.part], cutting.sharp[k], cutting.sharp[k3])
     # With lobes, all footprints of a pixel err alike, so that each may make its part of the error only; errors of
     # shadow rays to random points are independent, and grow as the root of their number.
-    of_pixel = share * patches.share[q] if keen > 1.0 else 1.0
+    of_pixel = share * patches.fraction[q] if keen > 1.0 else 1.0
     may, alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
     device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
     word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(row)), np.uint64(q))
@@ -339,12 +339,12 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
         area, rise = cell[top, 15], highest_above(cell, top, lit.x, lit.normal)
         height = abs(dot(subtract(lit.x, vertex_of(cell, top, 0)), get(tree.normal, at, 0)))
         halve = h > max(size, SMALLEST * tree.extent)
-    if rise <= 0.0 or patches.most[p, q] <= 0.0:
+    if rise <= 0.0 or patches.most_weight[p, q] <= 0.0:
         return -1.0, halve, side
     peak = scan.cutting.peak
-    at_most = cell[top, 16] * lit.power * patches.most[p, q] * peak[lit.part] * peak[k] * strongest
+    at_most = cell[top, 16] * lit.power * patches.most_weight[p, q] * peak[lit.part] * peak[k] * strongest
     z, attenuation = corner(patches.position, p, q), scan.clock.attenuation
-    return at_most * brightest(m, h, area, rise, height, lit.x, z, size, attenuation), halve, side
+    return at_most * light_at_most(m, h, area, rise, height, lit.x, z, size, attenuation), halve, side
 
 
 @compiled(**STEP)
@@ -396,7 +396,7 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
     """Let one random point stand for a faint box; returns the elements spread and the rays asked, 0 or 1 each."""
     tree, x, clock = scan.tree, lit.x, scan.clock
     start, end, m = tree.span[at, 0], tree.span[at, 1], bounding_sphere(tree.box, at)[0]
-    f, y = anywhere(start, end, tree.area, tree.corners, _word_at(view.word, subtract(m, x), tree.extent))
+    f, y = point_on_triangles(start, end, tree.area, tree.corners, _word_at(view.word, subtract(m, x), tree.extent))
     n = get(tree.normal, f, 0)
     w, r1, r3 = weight(
         y, n, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, clock.attenuation
@@ -405,7 +405,7 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
         return 0, 0
     if _seen(y, x, view.z, f, candidates, scan.occluders.row, listed):
         t, path = (r1 + r3 + view.device) * clock.per_metre - clock.start, subtract(y, view.z)
-        variance = smear(path, view.vertex[2], clock.device, scan.patches.across, view.p, view.q)
+        variance = footprint_variance(path, view.vertex[2], clock.device, scan.patches.across, view.p, view.q)
         at_a, at_b, at_c = widened(t, t, t, variance * clock.per_metre * clock.per_metre)
         energy = w * view.gain * (tree.area[end] - tree.area[start])
         tally.overflow[into] += spread(tally.histogram, into, at_a, at_b, at_c, 1.0, 1.0, 1.0, energy)
@@ -470,7 +470,7 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     w = max(bright, cell[top, 3], cell[top, 8], cell[top, 13])
     cut, quarter, over, bend = verdict(
         paths, (cell[top, 15], w), (h, r1, r3), (view.gain, view.area, size, view.quarters),
-        (scan.cutting.coarsest, view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
+        (view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
     )  # fmt: skip
     if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
         # The lit side faces away from the footprint's middle. A large footprint may reach above the element's plane:
@@ -539,10 +539,10 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
     for j in range(count):
         rays, word = rays + 1, word_here if count == 1 else mix(word_here, np.uint64(j))
         if count == 1:
-            y = somewhere(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
+            y = point_on_triangle(vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2), word)
         else:
             # One point in each of the three triangles between the middle and a side, so that they lie apart.
-            y = somewhere(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
+            y = point_on_triangle(m, vertex_of(cell, top, j), vertex_of(cell, top, (j + 1) % 3), word)
         seen += _seen(y, x, z, element.f, candidates, scan.occluders.row, room.listed)
         if 0 < seen <= j:
             break
@@ -638,6 +638,10 @@ def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ign
     if view.size * per_metre > AT_ONCE:
         # Light reaches the footprint over a range of times.
         path, across = subtract(element.m, view.z), scan.patches.across
-        variance = smear(path, view.vertex[2], scan.clock.device, across, view.p, view.q) * per_metre * per_metre
+        variance = (
+            footprint_variance(path, view.vertex[2], scan.clock.device, across, view.p, view.q)
+            * per_metre
+            * per_metre
+        )
         at_a, at_b, at_c = widened(at_a, at_b, at_c, variance)
     return spread(histogram, into, at_a, at_b, at_c, wa, wb, wc, energy)

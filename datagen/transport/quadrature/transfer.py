@@ -26,7 +26,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
 from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, longest, put, subtract
 from datagen.transport.sampling import word_of
-from datagen.transport.visibility.bvh import CLUSTER, SMALLEST, Hierarchy, one_of
+from datagen.transport.visibility.bvh import CLUSTER, SMALLEST, Hierarchy, triangle_by_area
 from datagen.transport.visibility.occluder_rows import Occluders
 from datagen.transport.visibility.occlusion import LISTED, hidden, lists
 
@@ -364,7 +364,7 @@ def _draw(at, p, end, turn, ends, tree, hides, optics, seed, scratch):  # type: 
         f, size = first + s, area[first + s + 1] - area[first + s]
         # One random triangle from each equal share of area, which it then stands for: less noise than free draws.
         if behind - first > DRAWN:
-            f = one_of(first, behind, area, (2.0**32 * s + word) / count)
+            f = triangle_by_area(first, behind, area, (2.0**32 * s + word) / count)
             size = (area[behind] - area[first]) / count
         n = get(tree.normal, f, 0)
         a, b, c = corner(tree.corners, f, 0), corner(tree.corners, f, 1), corner(tree.corners, f, 2)

@@ -16,15 +16,20 @@ from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
 LEAF, BINS, DEEPEST = 3, 12, 64
-"""Triangles up to which a box is not divided; places along its longest side where it may be; and how many times boxes
-are divided so, before they are divided by number alone: stacks of those who walk the tree have room for twice that.
-Without the heuristic (halves along a space-filling curve) rooms take 1.15 to 1.34 times as long."""
+"""Most triangles of a box that is not divided (half as many give twice the boxes); bins along a box's longest side,
+between which it is divided (half as many divide it less well); and level from which on boxes are divided by the
+number of their triangles alone, because stacks of loops over the tree have room for about twice this level (half of
+it divides meshes with triangles of very different sizes less well). Without the heuristic (halves along a
+space-filling curve) rooms take 1.15 to 1.34 times as long."""
 CLUSTER = 4
-"""Triangles of a box up to which each is an element of its own; not below `LEAF`."""
+"""Most triangles of a box that one random point never stands for: each becomes a surface element. It is at least
+`LEAF`; with half of it a leaf could have to be opened, which has no boxes within."""
 SMALLEST = 1e-8
-"""Smallest element that is cut, relative to the scene."""
+"""Longest side of the smallest element that is cut, relative to the scene's largest side. Half of it allows one
+halving more, near the rounding error of coordinates."""
 ON_PLANE = 1e-9
-"""Distance from a plane, relative to the scene, below which a point lies on it."""
+"""Distance from a plane, relative to the scene's largest side, below which a point lies on the plane. Half of it is
+nearer to the rounding error of coordinates."""
 
 
 class Hierarchy(NamedTuple):
@@ -35,10 +40,10 @@ class Hierarchy(NamedTuple):
     corners : (F, 3, 3) metres.
     normal : (F, 3) unit normals.
     area : (F + 1,) area of all triangles before each, m².
-    own : (F,) which triangle of the scene it is.
+    face : (F,) index of each triangle in the scene.
     box : (N, 6) lowest and highest corner, metres.
-    children : (N, 2) boxes, −1 in a box that holds its triangles itself.
-    span : (N, 2) its triangles, first and behind the last; all those within.
+    children : (N, 2) indices of the two boxes within each box, −1 in a leaf.
+    span : (N, 2) index of the first triangle within each box, and one more than that of the last.
     cone : (N, 4) direction of the mean normal of each box's triangles, weighted by area, and the least cosine of a
         normal with it.
     roots : (K,) the box of each part.
@@ -48,7 +53,7 @@ class Hierarchy(NamedTuple):
     corners: Floats
     normal: Floats
     area: Floats
-    own: Ints
+    face: Ints
     box: Floats
     children: Ints
     span: Ints
@@ -80,30 +85,36 @@ class Hierarchy(NamedTuple):
 
 
 def _boxes(corners: Floats, face_part: NDArray[np.integer], parts: int) -> tuple[Ints, Floats, Ints, Ints, Ints]:
-    """Order of triangles (F, 3, 3) by their parts (F,) and boxes; box, children, span and roots as `Hierarchy` has
-    them."""
+    """(F,) order of the triangles, those of one part and one box next to each other; and the fields `box`,
+    `children`, `span` and `roots` of `Hierarchy`.
+
+    corners : (F, 3, 3) of the triangles, metres. face_part : (F,) part of each. parts : number of parts.
+    """
     low, high = corners.min(axis=1), corners.max(axis=1)
     orders, boxes, children, spans, roots = [], [], [], [], np.empty(parts, np.int64)
     triangles = count = 0
     for part in range(parts):
-        own = np.flatnonzero(face_part == part)
-        order, box, below, span = boxes_over(low[own], high[own])
+        faces = np.flatnonzero(face_part == part)
+        order, box, below, span = boxes_over(low[faces], high[faces])
         roots[part] = count
-        orders.append(own[order])
+        orders.append(faces[order])
         boxes.append(box)
         children.append(np.where(below < 0, -1, below + count))
         spans.append(span + triangles)
-        triangles, count = triangles + len(own), count + len(box)
+        triangles, count = triangles + len(faces), count + len(box)
     joined = (np.concatenate(each) for each in (orders, boxes, children, spans))
     return *joined, roots  # type: ignore[return-value]
 
 
 @compiled()
 def boxes_over(low, high):  # type: ignore[no-untyped-def]
-    """Order (F,) of triangles with lowest and highest corners low and high (F, 3), and the boxes over them: box,
-    children and span as `Hierarchy` has them, the first box about all.
+    """(F,) order of the triangles, those of one box next to each other; and the fields `box`, `children` and `span`
+    of `Hierarchy`. The first box holds all triangles.
 
-    A box is divided where the sum, over both sides, of the number of triangles times the area of their box is least.
+    low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres.
+
+    A box is divided where the sum, over both halves, of the number of triangles times the area of their box is least:
+    that area is proportional to the probability that a line meets the half.
     """
     count = len(low)
     most = max(2 * count, 1)
@@ -111,6 +122,7 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
     box, link = np.empty((most, 6)), np.zeros((most, 3), np.int64)
     link[0, 2], n, k = count, 1, 0
     members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
+    # Boxes k … n − 1 still have to be measured and divided; a divided box adds its halves at the end.
     while k < n:
         link[k, 0], first, last = -1, link[k, 1], link[k, 2]
         axis, smallest, largest = 0, 0.0, -1.0
@@ -119,6 +131,7 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
             for f in order[first:last]:
                 box[k, j], box[k, 3 + j] = min(box[k, j], low[f, j]), max(box[k, 3 + j], high[f, j])
                 least, greatest = min(least, low[f, j] + high[f, j]), max(greatest, low[f, j] + high[f, j])
+            # The longest side is that of the triangles' middles, so that not all of them fall into one bin.
             if greatest - least > largest:
                 axis, smallest, largest = j, least, greatest - least
         if last - first > LEAF:
@@ -132,6 +145,7 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
                 for j in range(3):
                     bounds[m, j] = min(bounds[m, j], low[f, j])
                     bounds[m, 3 + j] = max(bounds[m, 3 + j], high[f, j])
+            # One sweep over the bins adds the cost of the lower halves, the other that of the upper ones.
             cost[:] = 0.0
             for step in (1, -1):
                 _swept(members, bounds, cost, step)
@@ -139,6 +153,7 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
             for m in range(2, BINS):
                 if cost[m] < cost[best]:
                     best = m
+            # The order within each half stays, so that it does not depend on anything but the triangles.
             middle, rest = first, 0
             for f in order[first:last]:
                 if _bin(low, high, f, axis, smallest, largest) < best:
@@ -149,8 +164,8 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
                     rest += 1
             for m in range(rest):
                 order[middle + m] = spare[m]
-            # Halves of the number end what else might go on: triangles all in one place, or each box far beside all
-            # others.
+            # Halves of equal number end what might else go on without end: triangles that are all in one place, or
+            # boxes that lose only one triangle at each division.
             if middle in (first, last) or depth[k] >= DEEPEST:
                 middle = (first + last) // 2
             depth[n] = depth[n + 1] = depth[k] + 1
@@ -164,7 +179,11 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
-    """Number of the bin along an axis that holds the middle of triangle f."""
+    """Index of the bin, along an axis, of the middle of triangle f.
+
+    smallest, largest : least of all sums low + high along the axis, and their range, metres.
+    """
+    # All middles may be level, as in a wall.
     if largest <= 0.0:
         return 0
     return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
@@ -172,7 +191,11 @@ def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
-    """Add to each cut between bins the cost of the bins on one side of it: number of triangles times area of box."""
+    """Add to `cost` (BINS,), for the cut below each bin, the number of triangles times the area of the box about them
+    on one side of the cut: the lower side for step 1, the upper side for step −1.
+
+    members : (BINS,) number of triangles in each bin. bounds : (BINS, 6) lowest and highest corner of their box.
+    """
     total = 0
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for turn in range(BINS):
@@ -182,6 +205,7 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
         if 0 < cut < BINS and total > 0:
             cost[cut] += total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0])
         elif 0 < cut < BINS:
+            # A cut with nothing on one side divides nothing.
             cost[cut] += np.inf
         total += members[m]
         for j in range(3):
@@ -190,12 +214,17 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _cones(normal, area, span):  # type: ignore[no-untyped-def]
-    """`Hierarchy.cone` of boxes that hold triangles span[k, 0] … span[k, 1]."""
+    """(N, 4) the field `cone` of `Hierarchy`: mean normal of each box's triangles, weighted by area, and the least
+    cosine of a normal with it.
+
+    normal : (F, 3) unit normals. area : (F + 1,) running sum of areas, m². span : (N, 2) triangles of each box.
+    """
     cone = np.zeros((len(span), 4))
     for k in range(len(span)):
         for f in range(span[k, 0], span[k, 1]):
             for j in range(3):
                 cone[k, j] += (area[f + 1] - area[f]) * normal[f, j]
+        # Normals of a closed surface cancel: then there is no axis, and the cone holds all directions.
         length = math.sqrt(cone[k, 0] ** 2 + cone[k, 1] ** 2 + cone[k, 2] ** 2)
         for j in range(3):
             cone[k, j] = cone[k, j] / length if length > 0.0 else 0.0
@@ -207,8 +236,11 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def one_of(first, last, area_before, word):  # type: ignore[no-untyped-def]
-    """One of the triangles first … last, drawn by area."""
+def triangle_by_area(first, last, area_before, word):  # type: ignore[no-untyped-def]
+    """Index of one of the triangles first … last − 1, drawn with a probability proportional to its area.
+
+    area_before : (F + 1,) running sum of areas, m². word : random word.
+    """
     wanted = area_before[first] + (np.float64(word) + 0.5) * 2.0**-32 * (area_before[last] - area_before[first])
     low, high = first, last
     while high - low > 1:

@@ -1,8 +1,8 @@
 """A proof, without a ray, that nothing stands between a point and a flat patch of wall.
 
-It is one-sided: `True` is certain (to the distance that ray ends are lifted off their surfaces), `False` only means
-that a ray has to tell. Two convex bodies that a plane separates do not meet: the planes tried are the sides of the
-pyramid from the point to the patch, and the planes of the triangles.
+The proof is one-sided: `True` is certain (up to the distance by which ray ends are lifted off their surfaces);
+`False` proves nothing, and rays have to be cast. Two convex bodies do not meet if a plane separates them. The planes
+that are tried are the sides of the pyramid from the point to the patch, and the planes of the triangles.
 """
 
 from __future__ import annotations
@@ -14,7 +14,11 @@ from datagen.records.arrays import Bools, Floats
 
 
 def flat_patch(position: Floats, normal: Floats, tolerance: float) -> Floats | None:
-    """Corners (4, 3) of a rectangle that holds all points (n, 3), or None where they do not lie in one plane."""
+    """(4, 3) corners, metres, of a rectangle that holds all points; None if the points do not lie in one plane.
+
+    position, normal : (n, 3) points, metres, and unit normals of their surface.
+    tolerance : distance, metres, up to which a point lies in the plane, and margin of the rectangle.
+    """
     if len(position) == 0:
         return None
     axis = normal[0]
@@ -32,12 +36,13 @@ def flat_patch(position: Floats, normal: Floats, tolerance: float) -> Floats | N
 
 @compiled(inline="always")
 def height(point, base, normal):  # type: ignore[no-untyped-def]
-    """Of a point above the plane through `base`, in units of the normal's length."""
+    """Height of a point above the plane through `base`, in units of the normal's length."""
     return (point[0] - base[0]) * normal[0] + (point[1] - base[1]) * normal[1] + (point[2] - base[2]) * normal[2]
 
 
 @compiled(inline="always")
 def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
+    """Height of the highest corner of a triangle (3, 3) above the plane through `base`, as in `height`."""
     most = -np.inf
     for c in range(3):
         most = max(most, height(triangle[c], base, normal))
@@ -46,7 +51,7 @@ def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
 
 @compiled()
 def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) -> None:
-    """Side i: p × q, or its opposite, whichever points the way of `inner`."""
+    """Set row i of `sides` to p × q or to its opposite, whichever points in the direction `inner`."""
     x, y, z = p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]
     sign = -1.0 if x * inner[0] + y * inner[1] + z * inner[2] < 0.0 else 1.0
     sides[i, 0], sides[i, 1], sides[i, 2] = sign * x, sign * y, sign * z
@@ -54,7 +59,11 @@ def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) 
 
 @compiled()
 def pyramids_clear(apexes: Floats, patch: Floats, corners: Floats, face_normal: Floats, tolerance: float) -> Bools:
-    """Whether the pyramid from each apex (n, 3) to a flat patch (4, 3) is free of triangles (F, 3, 3)."""
+    """(n,) whether it is proven that no triangle meets the pyramid from each apex (n, 3) to a flat patch (4, 3).
+
+    corners, face_normal : (F, 3, 3) and (F, 3) of the triangles. tolerance : distance, metres, up to which a triangle
+    only touches the pyramid.
+    """
     clear = np.ones(len(apexes), np.bool_)
     sides, span, edge = np.empty((5, 3)), np.empty((4, 3)), np.empty((2, 3))
     base, middle, inner, upward = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -75,12 +84,14 @@ def pyramids_clear(apexes: Floats, patch: Floats, corners: Floats, face_normal: 
         for k in range(3):
             base[k] = sides[4, k] / length
         for f in range(len(corners)):
+            # The plane of the triangle has all of the pyramid on one side, or the triangle lies behind the patch.
             low = high = height(apex, corners[f, 0], face_normal[f])
             for i in range(4):
                 s = height(patch[i], corners[f, 0], face_normal[f])
                 low, high = min(low, s), max(high, s)
             if low >= -tolerance or high <= tolerance or _highest(corners[f], patch[0], base) <= tolerance:
                 continue
+            # All of the triangle lies beyond one side of the pyramid.
             apart = False
             for i in range(4):
                 apart = apart or _highest(corners[f], apex, sides[i]) < 0.0

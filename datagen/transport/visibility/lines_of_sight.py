@@ -1,8 +1,8 @@
 """What pixels see along a few fixed lines of sight, their corners included, the same on every processor.
 
-A corner of a pixel often lies where the wall ends or meets another, and there it is rounding that decides which
-triangle a single-precision ray meets. So each line of sight is asked for a little inside its pixel, and is then met
-exactly, in double precision, with the plane of the surface found there.
+A corner of a pixel often lies where the wall ends or meets another wall, and there rounding decides which triangle a
+single-precision ray meets. So the ray of each line of sight is cast a little inside its pixel, and the line itself is
+then intersected, in double precision, with the plane of the surface that the ray met.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ from datagen.records import Sensor
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
-INWARD = 1e-3
-"""How far a line of sight is moved towards its pixel's middle, as a share of the way there, to find its surface."""
-INWARD_AT_LEAST_RAD = 2e-6
-"""The least angle that it is moved by: some twenty roundings in single precision."""
+INWARD, INWARD_AT_LEAST_RAD = 1e-3, 2e-6
+"""How far the ray of a line of sight is moved towards its pixel's middle: fraction of the way there, and least angle,
+rad, some twenty roundings in single precision. With half of the angle, rays at corners of small pixels may miss the
+wall that the pixel sees."""
 LONGEST_REACH = 2.0
-"""Distance to the plane, relative to the inner line's, beyond which a line grazes it and the inner one counts."""
+"""Distance to the plane along a line of sight, relative to that along its ray, from which on the line only grazes the
+plane, so that the point that the ray met stands for it. Half of it rejects lines that do not graze at all."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class LinesOfSight:
     Attributes
     ----------
     position : (P, n², 3) where each line meets the plane of the surface that it sees, m; undefined without a surface.
-    inner : (P, n², 3) directions a little inside the pixel, along which that surface was found; not of unit length.
-    met : what those met, P · n² hits.
+    inner : (P, n², 3) directions of the rays, a little inside the pixel, that met this surface; not of unit length.
+    met : P · n² hits of these rays.
     """
 
     position: Floats
@@ -40,7 +41,7 @@ class LinesOfSight:
 
     @property
     def valid(self) -> Bools:
-        """(P, n²) whether there is a surface."""
+        """(P, n²) whether a line of sight meets a surface."""
         return self.met.valid.reshape(self.inner.shape[:2])
 
     @property
@@ -56,15 +57,18 @@ def lines_of_sight(caster: Raycaster, sensor: Sensor, along: int) -> LinesOfSigh
     a, b, c, d = ((sensor.pixels - sensor.position)[:, None, k] for k in range(4))
     exact = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
     to_middle = 0.5 * (0.5 * a + 0.5 * b) + 0.5 * (0.5 * d + 0.5 * c) - exact
+    # The middle line of a grid with an odd number of lines is not moved: its infinite fraction is clipped.
     with np.errstate(divide="ignore"):
         least = INWARD_AT_LEAST_RAD * _length(exact) / _length(to_middle)
     inner = exact + np.clip(least, INWARD, 1.0)[..., None] * to_middle
     met = caster.closest(sensor.position, inner.reshape(-1, 3))
     normal, found = met.normal.reshape(inner.shape), met.position.reshape(inner.shape)
+    # Along a direction v, the plane is met at `sensor.position + reach · v`.
     height = np.einsum("pqk,pqk->pq", normal, found - sensor.position)
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = height / np.einsum("pqk,pqk->pq", normal, exact)
         inner_reach = height / np.einsum("pqk,pqk->pq", normal, inner)
+    # A line that hardly approaches the plane, or meets it behind the sensor, does not see it.
     ahead = (reach > 0) & (reach < LONGEST_REACH * inner_reach)
     position = np.where(ahead[..., None], sensor.position + np.where(ahead, reach, 0.0)[..., None] * exact, found)
     return LinesOfSight(position, inner, met)

@@ -1,7 +1,7 @@
-"""What stands between two points, or between a point and all of a triangle, in double precision.
+"""Occlusion between two points, or between a point and all of a triangle, in double precision.
 
-It is asked of a BVH over the triangles that can hide anything (`occluder_rows.py`), answers the same on
-every processor, and in compiled loops, one line at a time.
+Compiled loops call these functions for one line at a time; they search a BVH over the triangles that can hide
+anything (`occluder_rows.py`), and give the same result on every processor.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import above, cross, get, subtract
-from datagen.transport.visibility.occluder_rows import (
-    FIRST,
-    FLAT,
-    HEAD,
-    LINK,
-    NORMAL,
-    NUMBER,
-    C,
-)
+from datagen.transport.visibility.occluder_rows import FIRST, FLAT, HEAD, LINK, NORMAL, NUMBER, C
 
 TINY = 1e-300
+"""A number to divide by in place of zero."""
 TOUCHING = 1e-9
-"""Share of a line at each end within which a triangle only touches it."""
+"""Fraction of a line, at each end, in which a triangle only touches the line and hides nothing. Half of it is nearer
+to the rounding error of coordinates."""
 MOST, RING = 16, 63
-"""Candidates up to which boxes are opened, and the mask of a ring that holds those still to be looked at."""
+"""Number of candidates up to which boxes among them are opened (half of it gives shorter lists of larger boxes, which
+prove less); and the mask of indices into the ring of candidates not yet tested, whose 64 entries hold more than
+`MOST` candidates and what an opened box adds."""
 SUSPECT, LISTED = 255, 256
-"""In the lists that are handed down: what is to be looked at, which is scratch, comes first; then the triangle that
-hid something the last time, or 0; and from `LISTED` on candidates: rows, of triangles less than 0, their −k."""
+"""Places in the array that `lists` returns: entries 0 … 254 are scratch for candidates not yet tested; `SUSPECT` is
+the triangle that hid something the last time, or 0; lists of candidates begin at `LISTED`. A candidate is a row of
+`Occluders.row`: k for a box, −k for a triangle."""
 
 
 @compiled()
 def lists(room):  # type: ignore[no-untyped-def]
-    """The lists, with room for so many candidates, of which the first two are boxes that hold all."""
-    found = np.empty(LISTED + max(room, 2), np.int64)
-    found[SUSPECT] = found[LISTED] = found[LISTED + 1] = 0
-    return found
+    """An array for lists of possible occluders, with space for `room` candidates after `LISTED`.
+
+    The first two candidates are the box that holds all occluders: one for each leg of a path.
+    """
+    listed = np.empty(LISTED + max(room, 2), np.int64)
+    listed[SUSPECT] = listed[LISTED] = listed[LISTED + 1] = 0
+    return listed
 
 
 @compiled(forceinline=True)
@@ -61,13 +61,14 @@ def _crosses(x, d, row, f, end):  # type: ignore[no-untyped-def]
 
 @compiled()
 def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
-    """The row of a triangle other than number `of`, on which y lies, that stands between the points x and y; 0 for
-    none.
+    """Row of a triangle that hides y from x, 0 if none does.
 
-    row : that of `Occluders`. listed : `lists`, of whose candidates first … last are asked.
+    x, y : points, metres. of : index of the triangle on which y lies, which does not hide it. row : `Occluders.row`.
+    listed : array of `lists`, of which the candidates first … last − 1 are tested.
     """
     if first >= last:
         return 0
+    # What hid the last point often hides this one, which saves the search.
     d, suspect = subtract(y, x), listed[SUSPECT]
     if suspect > 0 and _stands_between(x, d, of, suspect, row):
         return suspect
@@ -79,7 +80,6 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
             k = listed[top]
             if k < 0:
                 if _stands_between(x, d, of, -k, row):
-                    # What hides one point often hides the next: it is looked at first then.
                     listed[SUSPECT] = -k
                     return -k
             elif _meets(x, per, k, row):
@@ -89,14 +89,14 @@ def hidden(x, y, of, first, last, row, listed):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _meets(x, per, k, row):  # type: ignore[no-untyped-def]
-    """Whether a line from x meets box k; per : 1 over each component of the line."""
+    """Whether a line from x meets box k. per : the inverse of each component of the vector along the line."""
     a, b = (row[k, 0] - x[0]) * per[0], (row[k, 3] - x[0]) * per[0]
     enter, leave = min(a, b), max(a, b)
     a, b = (row[k, 1] - x[1]) * per[1], (row[k, 4] - x[1]) * per[1]
     enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
     a, b = (row[k, 2] - x[2]) * per[2], (row[k, 5] - x[2]) * per[2]
     enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    # A box is taken as a little larger than it is, for a triangle in its plane must not be lost to rounding.
+    # The box counts as slightly larger than it is: rounding must not lose a triangle that lies in a face of the box.
     return max(enter, 0.0) <= min(leave, 1.0 + TOUCHING) * (1.0 + 1e-12)
 
 
@@ -106,53 +106,49 @@ def _stands_between(x, d, of, f, row):  # type: ignore[no-untyped-def]
     number = row[f, NUMBER]
     if number == of:
         return False
-    # Of triangles that lie on each other the last one is seen, so that their light counts once.
+    # Of triangles that lie in the same place the last one is seen, so that their light counts once.
     return _crosses(x, d, row, f, 1.0 + TOUCHING if number > of else 1.0 - TOUCHING)
 
 
 @compiled()
 def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
-    """Put what box k holds behind the first `top` entries; returns how many there are then."""
-    one = int(row[k, LINK])
-    if one > 0:
-        listed[top], listed[top + 1] = one, int(row[k, FIRST])
+    """Append the two boxes or the triangles within box k to the first `top` entries of `listed`; returns the new
+    number of entries."""
+    link = int(row[k, LINK])
+    if link > 0:
+        listed[top], listed[top + 1] = link, int(row[k, FIRST])
         return top + 2
     first = int(row[k, FIRST])
-    for j in range(-one):
+    for j in range(-link):
         listed[top + j] = -(first + 2 * j)
-    return top - one
+    return top - link
 
 
 @compiled()
 def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped-def]
-    """Whether it is proven that x sees nothing of the triangle a, b, c on triangle `of`: one of the candidates
-    first … last stands before all three corners, and so before all between them. False proves nothing."""
-    before = hidden(x, a, of, first, last, row, listed)
-    if before == 0:
+    """Whether it is proven that x sees nothing of the triangle a, b, c, a part of triangle `of`: one of the
+    candidates first … last − 1 hides all three corners. False proves nothing."""
+    f = hidden(x, a, of, first, last, row, listed)
+    if f == 0:
         return False
-    return _stands_between(x, subtract(b, x), of, before, row) and _stands_between(x, subtract(c, x), of, before, row)
-
-
-@compiled()
-def _waiting(listed, first, last):  # type: ignore[no-untyped-def]
-    """Put candidates first … last into the ring of what is to be looked at; returns how many."""
-    for i in range(last - first):
-        listed[i] = listed[first + i]
-    return last - first
+    # A triangle is convex: if it hides the corners, it hides all points between them.
+    return _stands_between(x, subtract(b, x), of, f, row) and _stands_between(x, subtract(c, x), of, f, row)
 
 
 @compiled()
 def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no-untyped-def]
-    """Write from `free` on those of the candidates first … last that may stand between x and some point of the
-    triangle a, b, c on triangle `of`, with boxes opened while they are few; returns the end of what is written. Where
-    none is left, it is proven that x sees all of the triangle.
+    """End of the list, written into `listed` from index `free` on, of those candidates first … last − 1 that may hide
+    some point of the triangle a, b, c from x. If that list is empty, it is proven that x sees all of the triangle.
 
-    The pyramid over the triangle with its tip in x is free of every triangle that lies beyond one of its sides, or
-    has all of the pyramid on one side of itself.
+    The triangle a, b, c is a part of triangle `of`. Boxes are replaced by what they hold while candidates are few.
+
+    A candidate cannot meet the pyramid over a, b, c with its tip in x if it lies beyond one side of the pyramid, or
+    if all of the pyramid lies on one side of the candidate's plane.
     """
     if first >= last:
         return free
     flat = row[HEAD, FLAT]
+    # Normals of the pyramid's base and of its three sides, all turned to the inside.
     base = cross(subtract(b, a), subtract(c, a))
     if dot(base, subtract(x, a)) < 0.0:
         base = (-base[0], -base[1], -base[2])
@@ -164,7 +160,10 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
     if dot(one, subtract(c, x)) < 0.0:
         one, two, three = (-one[0], -one[1], -one[2]), (-two[0], -two[1], -two[2]), (-three[0], -three[1], -three[2])
     near1, near2, near3, near0 = _margin(one, flat), _margin(two, flat), _margin(three, flat), _margin(base, flat)
-    head, tail, end = 0, _waiting(listed, first, last), free
+    # Entries head … tail − 1 of a ring at the beginning of `listed` are the candidates not yet tested.
+    for i in range(last - first):
+        listed[i] = listed[first + i]
+    head, tail, end = 0, last - first, free
     while head < tail:
         k = listed[head & RING]
         head += 1
@@ -181,11 +180,13 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
             ):
                 continue
             if _beyond(base, a, p, q, r, near0):
-                # One that lies on the triangle itself, and is seen in its place, hides it.
+                # It lies behind the triangle or in its plane; in the plane it hides the triangle if its index is
+                # higher, as in `_stands_between`.
                 upward = (-base[0], -base[1], -base[2])
                 if not (number > of and _beyond(upward, a, p, q, r, near0)):
                     continue
             else:
+                # All of the pyramid lies on one side of the candidate's plane.
                 low, high = _heights(get(row, f + 1, NORMAL), p, x, a, b, c)
                 if high <= flat or low >= -flat:
                     continue
@@ -197,14 +198,15 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
         ):
             continue
         elif end - free + tail - head < MOST:
-            one_of, inside = int(row[k, LINK]), int(row[k, FIRST])
-            if one_of > 0:
-                listed[tail & RING], listed[(tail + 1) & RING] = one_of, inside
+            # While candidates are few, a box is replaced by what it holds: more of that can be left out.
+            link, inside = int(row[k, LINK]), int(row[k, FIRST])
+            if link > 0:
+                listed[tail & RING], listed[(tail + 1) & RING] = link, inside
                 tail += 2
             else:
-                for j in range(-one_of):
+                for j in range(-link):
                     listed[(tail + j) & RING] = -(inside + 2 * j)
-                tail -= one_of
+                tail -= link
             continue
         listed[end] = k
         end += 1
@@ -213,13 +215,16 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
 
 @compiled()
 def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
-    """Whether three points lie on the outer side of the plane through x whose normal n points inwards, or on it."""
+    """Whether the points p, q and r lie outside the plane through x whose normal n points inwards, or in the plane.
+
+    near : height, in units of n, up to which a point lies in the plane.
+    """
     return dot(n, subtract(p, x)) <= near and dot(n, subtract(q, x)) <= near and dot(n, subtract(r, x)) <= near
 
 
 @compiled()
 def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
-    """Least and greatest height of four points above the plane through p."""
+    """Least and greatest height of the points x, a, b and c above the plane through p with unit normal n, metres."""
     at_x, at_a, at_b, at_c = (
         dot(n, subtract(x, p)),
         dot(n, subtract(a, p)),
@@ -231,6 +236,7 @@ def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _margin(n, flat):  # type: ignore[no-untyped-def]
-    """What a height of `flat` is along n, no unit vector; no number, so that nothing is proven, if that is zero."""
+    """The height `flat`, metres, in units of the vector n, which is not of unit length."""
     length = np.sqrt(dot(n, n))
+    # Needles have sides without a direction: comparisons with NaN are False, so that such a side proves nothing.
     return flat * length if length > 0.0 else np.nan

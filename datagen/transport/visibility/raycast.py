@@ -22,7 +22,7 @@ from datagen.transport.memory import VALUES_AT_ONCE
 
 SURFACE_OFFSET = 2e-6
 """Distance, in units of the scene's half extent, by which ray ends are lifted off their surface: some twenty float32
-roundings at unit size, so that a surface never hides itself, and 10 µm in a room of 10 m."""
+roundings at unit size, and 10 µm in a room of 10 m. With half of it, a surface may begin to hide itself."""
 
 
 class Hits(NamedTuple):
@@ -43,7 +43,7 @@ class Hits(NamedTuple):
         return self.face >= 0
 
     def take(self, rows: Ints) -> Hits:
-        """Those of some rays."""
+        """The hits of the rays whose indices are in `rows`."""
         return Hits(self.face[rows], self.position[rows], self.normal[rows])
 
 
@@ -77,14 +77,15 @@ class Raycaster:
     def leaving(self, positions: Floats, normals: Floats, directions: Floats) -> Hits:
         """First surface along rays that leave a surface: positions (n, 3) on it, unit normals and directions (n, 3).
 
-        Only the question of which triangle is met is asked a little above the surface; where, is found from
-        `positions` themselves. So the hits have the density of rays from there, down to the foot of a wall that is
-        nearer than the rays are lifted, and nothing of what leaves a point beside an edge is lost.
+        Only which triangle is met is found from a little above the surface; where the ray meets the triangle's plane
+        is computed from `positions` themselves. So hits have the density of rays from there, even at the foot of a
+        wall that is nearer than the rays are lifted, and no light that leaves a point beside an edge is lost.
         """
         face = self._met(positions + self.offset_m * normals, directions)
         return Hits(face, *_refine(face, positions, directions, self.corners, self.face_normal))
 
     def _met(self, origins: Floats, directions: Floats) -> NDArray[np.int32]:
+        """(n,) first triangle along each ray, −1 for none, of rays in metres."""
         face = np.empty(len(directions), np.int32)
         for batch in _batches(len(directions)):
             face[batch] = self._embree.run(
@@ -97,26 +98,29 @@ class Raycaster:
         return np.asarray(self._embree.run(origins, directions, query="INTERSECT"), np.int32)
 
     def occluded(self, origins: Floats, targets: Floats) -> Bools:
-        """Whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
+        """(n,) whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)
         origins = np.broadcast_to(origins, targets.shape)
         for batch in _batches(len(targets)):
+            # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
             o = self._scaled(origins[batch])
             hidden[batch] = self.occluded_scaled(o, self._scaled(targets[batch]) - o)
         return hidden
 
     def occluded_scaled(self, origins: NDArray[np.float32], spans: NDArray[np.float32]) -> Bools:
-        """Occlusion along spans already in embree's unit frame: from `origins` to `origins + spans`, (n, 3)."""
+        """(n,) whether anything stands between `origins` and `origins + spans`, (n, 3) in embree's unit frame."""
         reach = np.ones(len(origins), np.float32)
         return np.asarray(self._embree.run(origins, spans, dists=reach, query="OCCLUDED") >= 0)
 
     def _scaled(self, points: Floats) -> NDArray[np.float32]:
+        """(n, 3) points in embree's unit frame, from metres."""
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
 
 
 @compiled()
 def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
-    """Point p, lifted along n, in embree's frame; scale : its centre and half extent."""
+    """The point p + offset · n, metres, in embree's unit frame; scale : the frame's centre and half extent,
+    metres."""
     return (
         np.float32((p[0] + offset * n[0] - scale[0]) / scale[3]),
         np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
@@ -125,6 +129,7 @@ def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
 
 
 def _batches(rays: int) -> Iterator[slice]:
+    """Slices of as many rays as are in memory at once."""
     at_once = VALUES_AT_ONCE // 8
     return (slice(start, start + at_once) for start in range(0, rays, at_once))
 
@@ -138,6 +143,7 @@ def _refine(
     normal = np.empty((len(face), 3))
     for i in range(len(face)):
         f = face[i]
+        # Zeros rather than what happens to be in memory, so that results repeat.
         if f < 0:
             position[i] = 0.0
             normal[i] = 0.0
