@@ -186,7 +186,9 @@ def _plan(pairs, some, scan, outlines, fans):  # type: ignore[no-untyped-def]
             if radius == 0.0 or rise1 <= 0.0 or not cutting.error[k] < np.inf:
                 continue
             r1, r3 = max(distance(m, x), radius), max(distance(m, z), radius)
-            light = lasers.power[i] * patches.most[p, 0] * cutting.peak[k1] * cutting.peak[k] * cutting.peak[k3]
+            light = (
+                lasers.power[i] * patches.most_weight[p, 0] * cutting.peak[k1] * cutting.peak[k] * cutting.peak[k3]
+            )
             light *= _frame(x, k, outlines, fans.frame, n) / (r3 * r3)
             light *= max(min(rise1 / r1, 1.0), GRAZING) * max(min(rise3 / r3, 1.0), GRAZING)
             keen = max(cutting.sharp[k1], cutting.sharp[k], cutting.sharp[k3])
