@@ -74,7 +74,7 @@ class Lookins(NamedTuple):
     shift: Floats
 
     def take(self, rows: slice | Bools) -> Lookins:
-        """The lookins of some rows."""
+        """The lookins in the given rows."""
         return Lookins._make(array[rows] for array in self)
 
 
@@ -131,7 +131,7 @@ def leaving_paths(
     """
     count, pixels = len(lookins.part), fov.weight.shape[0]
     # Room for every connection; the views that are returned leave out those that carry nothing.
-    size, found = count * pixels * points, 0
+    size, filled = count * pixels * points, 0
     first = np.zeros(count * pixels + 1, np.int64)
     position, energy, density = np.empty(size), np.empty(size), np.empty(size)
     origin, span = np.empty((size, 3), np.float32), np.empty((size, 3), np.float32)
@@ -158,15 +158,15 @@ def leaving_paths(
                 to_b = (-u[0] / distance, -u[1] / distance, -u[2] / distance)
                 # The lookin's BRDF is not among the factors: it is constant, and `arriving_paths` multiplies by it.
                 f4 = evaluate(kind[part], values[part], normal_4, to_b, get(fov.to_sensor[p], q, 0))
-                energy[found] = f4 * weight * form * transmittance(room.attenuation, distance + fov.last_leg[p, q])
+                energy[filled] = f4 * weight * form * transmittance(room.attenuation, distance + fov.last_leg[p, q])
                 # Cosine rays from the FoV point have the density cosθ₄ cosθ_b / (π R²) per area at the lookin.
-                density[found] = fov.share[p, q] * form / math.pi
+                density[filled] = fov.share[p, q] * form / math.pi
                 length = distance + room.device_legs * fov.last_leg[p, q]
-                position[found] = length * room.per_metre - room.start
-                _send(origin, span, found, at, lifted_and_scaled(x, normal_4, room.offset, room.frame))
-                found += 1
-            first[n * pixels + p + 1] = found
-    return Paths(first, position[:found], energy[:found]), density[:found], origin[:found], span[:found]
+                position[filled] = length * room.per_metre - room.start
+                _send(origin, span, filled, at, lifted_and_scaled(x, normal_4, room.offset, room.frame))
+                filled += 1
+            first[n * pixels + p + 1] = filled
+    return Paths(first, position[:filled], energy[:filled]), density[:filled], origin[:filled], span[:filled]
 
 
 @compiled()
@@ -278,7 +278,7 @@ def arriving_paths(
     """
     count = len(lookins.part)
     observed, lit = len(face) // count, len(vicinity.lit_part)
-    size, found = count * (observed + lit), 0
+    size, filled = count * (observed + lit), 0
     first = np.zeros(count + 1, np.int64)
     position, energy = np.empty(size), np.empty(size)
     origin, span = np.empty((size, 3), np.float32), np.empty((size, 3), np.float32)
@@ -292,7 +292,7 @@ def arriving_paths(
         apart = subtract(b, x1)
         # Both ways to draw o bound the weight of a path only if its lookin keeps a distance from the laser point.
         if dot(apart, apart) < vicinity.near_square:
-            first[n + 1] = found
+            first[n + 1] = filled
             continue
         samples = (density[n] * observed, density[n] * vicinity.rays)
         # The lookin's constant BRDF ρ/π.
@@ -323,9 +323,9 @@ def arriving_paths(
                 continue
             # The leg from the laser always attenuates, but counts for the time only with the time origin `source`.
             length = math.sqrt(dot(u, u)) + math.sqrt(dot(v, v))
-            energy[found] = value * transmittance(room.attenuation, vicinity.leg + length)
-            position[found] = (length + room.device_legs * vicinity.leg) * room.per_metre
-            _send(origin, span, found, at, lifted_and_scaled(o, normal_o, room.offset, room.frame))
-            found += 1
-        first[n + 1] = found
-    return Paths(first, position[:found], energy[:found]), origin[:found], span[:found]
+            energy[filled] = value * transmittance(room.attenuation, vicinity.leg + length)
+            position[filled] = (length + room.device_legs * vicinity.leg) * room.per_metre
+            _send(origin, span, filled, at, lifted_and_scaled(o, normal_o, room.offset, room.frame))
+            filled += 1
+        first[n + 1] = filled
+    return Paths(first, position[:filled], energy[:filled]), origin[:filled], span[:filled]

@@ -59,7 +59,7 @@ from datagen.transport.problem import Problem
 from datagen.transport.sampling import Streams, scrambled_sobol, stream_seeds
 from datagen.units import path_from_time
 
-WALKS_PER_LOOKIN = 4
+PATHS_PER_LOOKIN = 4
 """Paths traced from each laser point for each lookin. Only those whose second hidden vertex lies near the laser point
 count and cost more than two rays. Half as many double the variance of that light."""
 RAYS_FROM_LASER_POINT = 1 / 8
@@ -150,47 +150,47 @@ def secondary_transient(
     if len(wrong):
         raise InputError(
             f"part {scene.part_names[wrong[0]]!r}: {type(scene.materials[wrong[0]]).__name__} does not factorise; "
-            "only Lambertian lookins do: follow this part's light by the walk instead"
+            "only Lambertian lookins do: use path tracing for this part's light"
         )
-    own = _Secondary.of(task, observed, allowed)
+    state = _Secondary.of(task, observed, allowed)
     total, squares, overflow = np.zeros(capture.shape), np.zeros(capture.shape), np.zeros(capture.shape[:2])
     lookins, fov_samples = task.accuracy.lookins, task.accuracy.fov_samples
     replicates = min(task.accuracy.replicates, lookins)
     for replicate in range(replicates):
         count = lookins // replicates + (replicate < lookins % replicates)
-        for array in own.sums:
+        for array in state.sums:
             array.fill(0.0)
-        for lasers, pixels in own.groups():
-            _add_group(own, lasers, pixels, count, replicate)
-        total += own.sums.transient
-        overflow += own.sums.overflow
+        for lasers, pixels in state.groups():
+            _add_group(state, lasers, pixels, count, replicate)
+        total += state.sums.transient
+        overflow += state.sums.overflow
         if sketch is not None:
-            sketch.add(replicate, own.sums.transient, 0)
-        squares += np.square(own.sums.transient, out=own.sums.transient)
+            sketch.add(replicate, state.sums.transient, 0)
+        squares += np.square(state.sums.transient, out=state.sums.transient)
     total /= replicates
     work = Work(0, 0, total.size * replicates, 0)
-    for lasers, pixels in own.groups():
+    for lasers, pixels in state.groups():
         work += factorised_work(
             lookins, observed, len(lasers), len(pixels), fov_samples, capture.time.bins, replicates
         )
     return Average([total], standard_error([total], squares, replicates), overflow / replicates, work)
 
 
-def _add_group(own: _Secondary, lasers: Ints, pixels: Ints, count: int, replicate: int) -> None:
+def _add_group(state: _Secondary, lasers: Ints, pixels: Ints, count: int, replicate: int) -> None:
     """Add to the sums the paths from `lasers` by `count` lookins to `pixels`."""
-    pool, fov, blocks = _fov_points(own.task, pixels, count, replicate)
+    pool, fov, blocks = _fov_points(state.task, pixels, count, replicate)
     if not fov.share.any():
         return
-    lookins = _place_lookins(own, fov, blocks, int(lasers[0]), count, replicate)
-    vicinities = list(_vicinities(own, lasers, count, replicate))
-    seeds = stream_seeds(own.task.seed, LightStream.FACTORISED_SECOND, replicate, int(lasers[0]))
-    points = scrambled_sobol(seeds, own.observed, 2)[0]
-    rays = max(own.observed + max(len(one.lit_part) for one in vicinities), fov.weight.size // blocks)
+    lookins = _place_lookins(state, fov, blocks, int(lasers[0]), count, replicate)
+    vicinities = list(_vicinities(state, lasers, count, replicate))
+    seeds = stream_seeds(state.task.seed, LightStream.FACTORISED_SECOND, replicate, int(lasers[0]))
+    points = scrambled_sobol(seeds, state.observed, 2)[0]
+    rays = max(state.observed + max(len(one.lit_part) for one in vicinities), fov.weight.size // blocks)
     size = max(1, VALUES_AT_ONCE // (32 * rays))
     for start in range(0, len(lookins.part), size):
-        _add_lookins(own, fov, lookins.take(slice(start, start + size)), points, count, lasers, vicinities)
-    if own.near_square > 0:
-        _walk_near(own, lasers, pixels, pool, count, replicate)
+        _add_lookins(state, fov, lookins.take(slice(start, start + size)), points, count, lasers, vicinities)
+    if state.near_square > 0:
+        _trace_near(state, lasers, pixels, pool, count, replicate)
 
 
 def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tuple[FovPool, FovPoints, int]:
@@ -212,10 +212,10 @@ def _fov_points(task: Problem, pixels: Ints, count: int, replicate: int) -> tupl
     return pool, FovPoints(*arrays, share), blocks
 
 
-def _place_lookins(own: _Secondary, fov: FovPoints, blocks: int, laser: int, count: int, replicate: int) -> Lookins:
+def _place_lookins(state: _Secondary, fov: FovPoints, blocks: int, laser: int, count: int, replicate: int) -> Lookins:
     """Up to `count` lookins where cosine-distributed rays from FoV points land; those on parts that carry no lookins
     are left out."""
-    task, points = own.task, own.task.accuracy.fov_samples
+    task, points = state.task, state.task.accuracy.fov_samples
     sobol = scrambled_sobol(stream_seeds(task.seed, LightStream.FACTORISED_FIRST, replicate, laser), count, 6)[0]
     scaled = sobol[:, 0] * blocks
     block = np.minimum(scaled, blocks - 1).astype(np.int64)
@@ -229,94 +229,95 @@ def _place_lookins(own: _Secondary, fov: FovPoints, blocks: int, laser: int, cou
     position, normal = fov.position[pixel, point], fov.normal[pixel, point]
     hits = task.caster.closest(position + task.caster.offset_m * normal, cosine_directions(normal, sobol[:, 1:3]))
     part = np.where(hits.valid, task.scene.face_part[hits.face], 0).astype(np.int64)
-    kept = hits.valid & (running[block, -1] > 0) & own.carries[part]
+    kept = hits.valid & (running[block, -1] > 0) & state.carries[part]
     return Lookins(hits.position[kept], hits.normal[kept], part[kept], block[kept], sobol[kept, 3], sobol[kept, 4:])
 
 
-def _vicinities(own: _Secondary, lasers: Ints, count: int, replicate: int) -> Iterator[LaserVicinity]:
+def _vicinities(state: _Secondary, lasers: Ints, count: int, replicate: int) -> Iterator[LaserVicinity]:
     """Each laser point, with the points near it where cosine-distributed rays from it land."""
-    task, points = own.task, own.task.points
-    rays = int(np.ceil(max(count, own.observed) * RAYS_FROM_LASER_POINT)) if own.near_square > 0 else 0
+    task, points = state.task, state.task.points
+    rays = int(np.ceil(max(count, state.observed) * RAYS_FROM_LASER_POINT)) if state.near_square > 0 else 0
     seeds = stream_seeds(task.seed, LightStream.FACTORISED_LIT, replicate, lasers)
     uv = scrambled_sobol(seeds, rays, 2).reshape(-1, 2)
     owner = np.repeat(lasers, rays)
     n1, x1 = points.normal[owner], points.position[owner]
     hits = task.caster.closest(x1 + task.caster.offset_m * n1, cosine_directions(n1, uv))
     part = np.where(hits.valid, task.scene.face_part[hits.face], 0).astype(np.int64)
-    is_lit = hits.valid & (((hits.position - x1) ** 2).sum(axis=1) < own.near_square)
+    is_lit = hits.valid & (((hits.position - x1) ** 2).sum(axis=1) < state.near_square)
     for k, laser in enumerate(lasers):
         near = np.flatnonzero(is_lit[k * rays : (k + 1) * rays]) + k * rays
         yield LaserVicinity(
             points.position[laser], points.normal[laser], points.to_laser[laser], int(points.part[laser]),
-            float(points.leg[laser]), rays, own.near_square, hits.position[near], hits.normal[near], part[near],
+            float(points.leg[laser]), rays, state.near_square, hits.position[near], hits.normal[near], part[near],
         )  # fmt: skip
 
 
 def _add_lookins(
-    own: _Secondary, fov: FovPoints, lookins: Lookins, points: Floats, count: int, lasers: Ints,
+    state: _Secondary, fov: FovPoints, lookins: Lookins, points: Floats, count: int, lasers: Ints,
     vicinities: list[LaserVicinity],
 ) -> None:  # fmt: skip
-    """Add to the sums the paths by way of some lookins.
+    """Add to the sums the paths by way of the given lookins.
 
     points : (Ñ, 2) the net of directions to observed points that all lookins share, each with its own shift.
     """
-    caster, pixels = own.task.caster, fov.weight.shape[0]
-    leaving, density = _leaving(own, fov, lookins)
+    caster, pixels = state.task.caster, fov.weight.shape[0]
+    leaving, density = _leaving(state, fov, lookins)
     # A lookin that no FoV point sees sends nothing to the sensor, so the light into it need not be found.
     alive = density > 0
     if not alive.any():
         return
     leaving, lookins, density = leaving.take(np.repeat(alive, pixels)), lookins.take(alive), density[alive]
-    origin, direction = observing_rays(lookins, points, own.room)
+    origin, direction = observing_rays(lookins, points, state.room)
     face = caster.closest_scaled(origin, direction)
     for laser, vicinity in zip(lasers, vicinities, strict=True):
-        arriving, *rays = arriving_paths(lookins, density * count, face, direction, vicinity, own.room)
+        arriving, *rays = arriving_paths(lookins, density * count, face, direction, vicinity, state.room)
         arriving.energy[caster.occluded_scaled(*rays)] = 0.0
-        if own.task.accuracy.strongest is not None:
-            keep_strongest(arriving, own.task.accuracy.strongest)
-        convolve(arriving, leaving, lookins.displacement, own.sums.of_laser(laser))
+        if state.task.accuracy.strongest is not None:
+            keep_strongest(arriving, state.task.accuracy.strongest)
+        convolve(arriving, leaving, lookins.displacement, state.sums.of_laser(laser))
 
 
-def _leaving(own: _Secondary, fov: FovPoints, lookins: Lookins) -> tuple[Paths, Floats]:
+def _leaving(state: _Secondary, fov: FovPoints, lookins: Lookins) -> tuple[Paths, Floats]:
     """Half paths out of the lookins, rows (lookin, pixel), and the density (n,), 1/m², with which each is drawn.
 
     The density is the sum over the FoV points of the lookin's block that see it.
     """
-    paths, each, *rays = leaving_paths(lookins, fov, own.task.accuracy.fov_samples, own.room)
-    hidden = own.task.caster.occluded_scaled(*rays)
+    paths, each, *rays = leaving_paths(lookins, fov, state.task.accuracy.fov_samples, state.room)
+    hidden = state.task.caster.occluded_scaled(*rays)
     paths.energy[hidden], each[hidden] = 0.0, 0.0
     of_lookin = np.repeat(np.arange(len(lookins.part)), np.diff(paths.first[:: fov.weight.shape[0]]))
     return paths, np.bincount(of_lookin, each, len(lookins.part)).astype(np.float64, copy=False)
 
 
-def _walk_near(own: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count: int, replicate: int) -> None:
+def _trace_near(state: _Secondary, lasers: Ints, pixels: Ints, pool: FovPool, count: int, replicate: int) -> None:
     """Add to the sums the paths whose lookin lies near the laser point, by path tracing from the laser point."""
-    task, sums, bins = own.task, own.sums, own.sums.transient.shape[2]
+    task, sums, bins = state.task, state.sums, state.sums.transient.shape[2]
     nothing = AreaTarget(0.0, np.empty(0, np.int64), np.empty(0), 1.0, np.zeros(len(task.caster.corners), np.bool_))
     seed = int(stream_seeds(task.seed, LightStream.FACTORISED_WALKS)[0])
     streams = Streams.of(seed, np.array([replicate]), np.arange(len(task.points.part)))
     splits = np.zeros(len(task.materials.kind), np.int64)
-    axis, walks = task.capture.time, WALKS_PER_LOOKIN * count
-    at_once = max(1, min(VALUES_AT_ONCE // (32 * walks), VALUES_AT_ONCE // (len(pixels) * bins)))
+    axis, paths = task.capture.time, PATHS_PER_LOOKIN * count
+    at_once = max(1, min(VALUES_AT_ONCE // (32 * paths), VALUES_AT_ONCE // (len(pixels) * bins)))
     for run in runs_of(lasers, at_once):
-        lookins = draw_hidden_vertices(
-            task.caster, task.scene, task.materials, task.points, run, walks, nothing, streams, 2
+        # Of such a path the lookin is the second hidden vertex.
+        first = draw_hidden_vertices(
+            task.caster, task.scene, task.materials, task.points, run, paths, nothing, streams, 2
         )
-        rays = scattered_rays(task.caster, task.materials, lookins, lookins.numbers(0))
-        found = continued(task.scene, lookins, *rays)
-        apart = ((found.position - task.points.position[found.laser]) ** 2).sum(axis=1)
-        found = found.take(np.flatnonzero((apart < own.near_square) & own.carries[found.part]))
+        rays = scattered_rays(task.caster, task.materials, first, first.numbers(0))
+        second = continued(task.scene, first, *rays)
+        apart = ((second.position - task.points.position[second.laser]) ** 2).sum(axis=1)
+        second = second.take(np.flatnonzero((apart < state.near_square) & state.carries[second.part]))
         device_leg = task.points.leg[run] if axis.origin == "source" else np.full(len(run), -1.0)
         receiver = Receiver(
             task.caster, task.scene, task.materials, task.capture.sensor, pool, task.cones.take(pixels),
             task.patches.take(pixels), task.accuracy.fov_samples,
-            Clock(own.room.per_metre / SUB_BINS, axis.start_s / axis.width_s, device_leg),
+            Clock(state.room.per_metre / SUB_BINS, axis.start_s / axis.width_s, device_leg),
             Rows(int(run[0]), task.capture.pairing == "confocal", len(pixels), 1),
             Tally(np.zeros((len(run) * len(pixels), bins)), np.zeros(len(run) * len(pixels))),
         )  # fmt: skip
-        receiver.connect(found, found.numbers(1)[:, 0], splits)
-        found = found.take(receiver.near(found))
-        receiver.follow(found, *scattered_rays(task.caster, task.materials, found, found.numbers(1)), splits)
+        receiver.connect(second, second.numbers(1)[:, 0], splits)
+        second = second.take(receiver.near(second))
+        receiver.follow(second, *scattered_rays(task.caster, task.materials, second, second.numbers(1)), splits)
         rows = slice(run[0], run[-1] + 1)
         sums.transient[rows] += receiver.tally.histogram.reshape(len(run), len(pixels), bins)
         sums.overflow[rows] += receiver.tally.overflow.reshape(len(run), len(pixels))

@@ -186,16 +186,16 @@ class Receiver:
         frame = Frame(self.caster.offset_m, np.append(self.caster.center, self.caster.half_extent_m))
         for start in range(0, count, per_batch):
             batch = slice(start, start + per_batch)
-            found = connections(
+            connected = connections(
                 vertices.take(batch), block[batch], self.pool, self.patches, self.materials.arrays, self.device,
                 self.clock, self.rows, split_of_part, frame, waiting,
             )  # fmt: skip
-            arrivals = Arrivals._make(values[:found] for values in waiting.arrivals)
-            hidden = np.zeros(found, np.bool_)
+            arrivals = Arrivals._make(values[:connected] for values in waiting.arrivals)
+            hidden = np.zeros(connected, np.bool_)
             if self.occlusion:
-                hidden = self.caster.occluded_scaled(waiting.origin[:found], waiting.span[:found])
+                hidden = self.caster.occluded_scaled(waiting.origin[:connected], waiting.span[:connected])
             deposit(arrivals, hidden, self.tally)
-            bright += found
+            bright += connected
         return bright
 
     def near(self, vertices: Vertices) -> Ints:
@@ -210,22 +210,24 @@ class Receiver:
         hits, directions, throughput : of one ray from each vertex, as `vertices.scattered_rays` returns them.
         """
         part = np.where(hits.valid, self.scene.face_part[hits.face], -1).astype(np.int64)
-        found = landed(
+        arrivals = landed(
             vertices, hits, part, directions, throughput, self.materials.arrays, self.cones, self.patches,
             self.device, self.clock, self.rows, split_of_part,
         )  # fmt: skip
-        self._add_if_seen(hits.position[found.owner] + self.caster.offset_m * hits.normal[found.owner], found)
+        at = arrivals.owner
+        self._add_if_seen(hits.position[at] + self.caster.offset_m * hits.normal[at], arrivals)
 
     def add_laser_points(self, points: LaserPoints, lasers: Ints, split: int) -> None:
         """Add to the tally the light of one bounce: laser points that lie inside a pixel and that the sensor sees."""
-        found = laser_points_seen(
+        arrivals = laser_points_seen(
             lasers, points, self.materials.arrays, self.cones, self.device, self.clock, self.rows, split
         )  # fmt: skip
-        self._add_if_seen(points.position[found.owner] + self.caster.offset_m * points.normal[found.owner], found)
+        at = arrivals.owner
+        self._add_if_seen(points.position[at] + self.caster.offset_m * points.normal[at], arrivals)
 
-    def _add_if_seen(self, lifted: Floats, found: Arrivals) -> None:
+    def _add_if_seen(self, lifted: Floats, arrivals: Arrivals) -> None:
         """Add to the tally the contributions from the points `lifted` (n, 3) that the sensor sees."""
-        deposit(found, self.caster.occluded(self.sensor.position, lifted), self.tally)
+        deposit(arrivals, self.caster.occluded(self.sensor.position, lifted), self.tally)
 
 
 @compiled(inline="always")

@@ -59,7 +59,7 @@ class LaserPoints(NamedTuple):
         return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
 
     def take(self, lasers: Ints) -> LaserPoints:
-        """The laser points of some indices, which may repeat."""
+        """The laser points with the given indices, which may repeat."""
         return LaserPoints._make(values[lasers] for values in self)
 
 
@@ -86,7 +86,7 @@ class Vertices(NamedTuple):
     stream: NDArray[np.uint64]
 
     def take(self, rows: Ints | slice) -> Vertices:
-        """The vertices of some rows."""
+        """The vertices in the given rows."""
         return Vertices._make(values[rows] for values in self)
 
     def numbers(self, step: int) -> Floats:
@@ -207,10 +207,10 @@ def draw_hidden_vertices(
     owner = owner[kept]
     # The number of a sample within its laser point, by which its independent numbers are seeded.
     rays = by_ray * len(lasers)
-    own = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
+    number = np.where(kept < rays, kept % by_ray, by_ray + (kept - rays) % max(by_area, 1))
     power *= np.exp(-scene.attenuation_per_m * (points.leg[owner] + distance))
     none = np.zeros(len(owner), np.uint64)
-    stream = streams.seeds(LightStream.WALK_STEPS, owner, own) if steps > SOBOL_STEPS else none
+    stream = streams.seeds(LightStream.WALK_STEPS, owner, number) if steps > SOBOL_STEPS else none
     return Vertices(
         laser=owner, position=position[kept], normal=normal, to_previous=to_previous,
         part=scene.face_part[face[kept]].astype(np.int64), power=power, path=distance, choices=sobol[kept, 2:],

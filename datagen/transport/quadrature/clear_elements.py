@@ -1,9 +1,9 @@
-"""Elements on diffuse surfaces that nothing can hide, as most of a room's are, worked off many at once.
+"""*Clear* elements: surface elements that nothing can hide, with only Lambertian surfaces on the path.
 
-They need no shadow rays, only arithmetic, and do not depend on one another. So they wait on a stack of their own, and
-up to `WIDE` of them are taken from it together: middles, weights and verdicts are computed in loops without branches,
-which compilers turn into vector instructions. The numbers are those of `weights.weight` and `weights.verdict`,
-operation by operation.
+Most elements of a room are clear. They need no shadow rays, only arithmetic, and do not depend on one another. So
+they wait on a stack of their own, and up to `WIDE` of them are taken from it together: middles, weights and verdicts
+are computed in loops without branches, which compilers turn into vector instructions. The results equal those of
+`weights.weight` and `weights.verdict`, operation by operation.
 """
 
 from __future__ import annotations
@@ -22,39 +22,48 @@ from datagen.transport.quadrature.weights import AT_ONCE, outside, path_variance
 from datagen.transport.visibility.bvh import SMALLEST
 
 WIDE = 64
-"""Elements that are taken from the stack together."""
+"""Most elements that are taken from the stack together; half as many leave vector instructions less well filled."""
 MOST_CLEAR = 1 << 12
-"""Most elements that are put on the stack; halves of them find room behind."""
-CLEAR_ROOM = MOST_CLEAR + 256 * WIDE
+"""Most elements on the stack when one more is put there; later ones are left to the kernel. Half of it takes half
+the memory and leaves more elements to the kernel, which is slower."""
 MOST_QUARTERED = 256
-"""Number of elements that wait to be seen from quarters of their footprints, from which on these are looked at first:
-the stack of the kernel has room for no more."""
-# A batch holds of `WIDE` elements, one number after the other: what waits on the stack, which is three vertices with
-# light and path (15), the area, the triangle, the footprint, how many times as large as itself that stands for, and
-# the product of the BRDFs; the triangle's normal, the footprint's place, normal and footprint; a point, and w, R₁ and
-# R₂ there; the longest side and which it is; what the footprint makes of light, its size, whether it has quarters,
-# the legs to the device if they count, the sides of the footprint and its direction to the device; verdict and bend;
-# the energy, and the seven numbers of its tent. As np.int64, because numba compiles a function anew for each plain
-# int.
+"""Number of elements that wait to be seen from quarters of their footprints, from which on these come first, because
+the kernel's stack (`Room.new`) has space for no more. Half of it changes the order only."""
+# A batch is one long row: number r of element j is at r · WIDE + j. The first `STACKED` numbers of an element are
+# those that it has on the stack: three vertices, each with weight and path, as in `waiting.py` (0–14), `AREA`, its
+# triangle (`OF`), its footprint (`PATCH`), the number of footprints for which that stands (`SHARE`) and the product
+# of the three BRDFs (`BRDF`). Then follow `NORMAL` of the triangle; position (`SEEN_FROM`), normal (`NORMAL3`) and
+# area (`FOOTPRINT`) of the footprint; a point (`POINT`), with weight, R₁ and R₂ there (`LIGHT`); length and number of
+# the longest side (`LONG`); photons per unit of weight and area (`GAIN`); `SIZE` of the footprint, and whether it has
+# `QUARTERS`; length of the legs to the device, 0 if they do not count (`LEGS`); sides of the footprint (`ACROSS`),
+# and direction from there to the sensor (`TO_SENSOR`); `VERDICT` and `BEND` (`weights.verdict`); `ENERGY`; and the
+# seven numbers of a `TENT` (`arrival_times.tent`). Most are np.int64, because numba compiles a function anew for each
+# plain int.
 FIRST, SECOND, THIRD = map(np.int64, (0, 5, 10))
 AREA, OF, PATCH, SHARE, BRDF, STACKED = 15, 16, 17, 18, 19, 20
 NORMAL, SEEN_FROM, NORMAL3, FOOTPRINT, POINT, LIGHT, LONG = map(np.int64, (20, 23, 26, 29, 30, 33, 36))
 GAIN, SIZE, QUARTERS, LEGS, ACROSS, TO_SENSOR, VERDICT, BEND = map(np.int64, (38, 39, 40, 41, 42, 48, 51, 52))
 ENERGY, TENT, NUMBERS = 53, 54, 61
 DROPPED, SPREAD, CUT, QUARTERED = 0.0, 1.0, 2.0, 3.0
+"""What becomes of an element, as in the kernel."""
 
 
 def room_for_clear() -> tuple[Floats, Floats, Floats]:
-    """Unfilled arrays: the stack, a batch of elements, and a batch of new vertices."""
-    return np.empty((CLEAR_ROOM, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
+    """Unfilled arrays: the stack of clear elements, a batch of elements, and a batch of new vertices."""
+    # A batch leaves at most `WIDE` elements more than it took. Halving ends after some 55 levels (`SMALLEST`), so
+    # that 256 batches more are ample.
+    return np.empty((MOST_CLEAR + 256 * WIDE, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
 
 
 @compiled()
 def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
-    """Put entry k of `cell`, on triangle f and seen from footprint q, on the stack; returns the stack's height.
+    """Height of the stack of clear elements, after entry k of `cell` was put on it.
 
-    It is not put there, and the height stays, where the stack is full, a surface of the path is not diffuse, or one
-    of its ends faces away from the device. lit_from, seen_from : as `weights.weight` has them.
+    The entry is not put there, and the height stays, if the stack is full, a surface of the path is not Lambertian,
+    or one end of the path faces away from the device.
+
+    waiting : height of the stack. f, q : indices of the element's triangle, and of its footprint.
+    lit_from, kind2, values2, seen_from : as in `weights.weight`.
     """
     _, n1, to_laser, kind1, values1 = lit_from
     _, n3, to_sensor, kind3, values3 = seen_from
@@ -71,9 +80,10 @@ def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from
 
 @compiled()
 def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untyped-def]
-    """`weights.weight` at the points of a batch."""
+    """Set weight, R₁ and R₂ at the points of the first `count` elements of a batch, as `weights.weight` does."""
     for j in range(min(count, WIDE)):
         y = _at(batch, POINT, j)
+        # The order of operations is that of `weights.weight`, so that results agree to the last bit.
         d1, d3 = subtract(y, x), subtract(y, _at(batch, SEEN_FROM, j))
         n, n3 = _at(batch, NORMAL, j), _at(batch, NORMAL3, j)
         square1, square3 = dot(d1, d1), dot(d3, d3)
@@ -83,7 +93,7 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
         w /= square1 * square1 * square3 * (square3 + batch[FOOTPRINT * WIDE + j] / math.pi)
         batch[LIGHT * WIDE + j] = w if (up1 > 0.0) & (up3 > 0.0) & (facing > 0.0) else 0.0
         batch[(LIGHT + 1) * WIDE + j], batch[(LIGHT + 2) * WIDE + j] = math.sqrt(square1), math.sqrt(square3)
-    # Apart, for exponentials are no vector instructions.
+    # In a loop of its own, because exponentials are no vector instructions.
     if attenuation > 0.0:
         for j in range(min(count, WIDE)):
             path = batch[(LIGHT + 1) * WIDE + j] + batch[(LIGHT + 2) * WIDE + j]
@@ -92,13 +102,13 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
 
 @compiled()
 def _at(batch, row, j):  # type: ignore[no-untyped-def]
-    """Numbers `row`, `row` + 1 and `row` + 2 of element j of a batch."""
+    """The vector whose components are numbers `row`, `row` + 1 and `row` + 2 of element j of a batch."""
     return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
 
 
 @compiled()
 def _middles(batch, count):  # type: ignore[no-untyped-def]
-    """Set the points of a batch to the middles of its elements, and their longest sides."""
+    """Set the points of a batch to the middles of its elements; and length and number of their longest sides."""
     for j in range(min(count, WIDE)):
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
         u, v, w = subtract(b, a), subtract(c, b), subtract(a, c)
@@ -112,11 +122,15 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-def]
-    """Set the verdicts of a batch whose weights in the middle are known: DROPPED, SPREAD, CUT or QUARTERED."""
+    """Set the verdicts of a batch whose weights in the middle are known: DROPPED, SPREAD, CUT or QUARTERED.
+
+    allowed : L2 error that an element may make, photons. The decisions are those of `_judge` in the kernel.
+    """
     per_metre, attenuation, opens, closes = clock.per_metre, clock.attenuation, clock.opens, clock.closes
     for j in range(min(count, WIDE)):
         z, n3 = _at(batch, SEEN_FROM, j), _at(batch, NORMAL3, j)
         a, b, c = _at(batch, FIRST, j), _at(batch, SECOND, j), _at(batch, THIRD, j)
+        # An element wholly below the plane of the laser point or of the footprint gets no light.
         above1 = max(dot(subtract(a, x), n1), dot(subtract(b, x), n1), dot(subtract(c, x), n1))
         above3 = max(dot(subtract(a, z), n3), dot(subtract(b, z), n3), dot(subtract(c, z), n3))
         w = max(batch[LIGHT * WIDE + j], batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j])
@@ -130,14 +144,17 @@ def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-d
         )  # fmt: skip
         becomes = CUT if cut else SPREAD
         becomes = QUARTERED if quarter else becomes
-        gone = (above1 <= 0.0) | (above3 <= 0.0) | (not (quarter | (norm > 0.0)))
-        batch[VERDICT * WIDE + j] = DROPPED if gone else becomes
+        dark = (above1 <= 0.0) | (above3 <= 0.0) | (not (quarter | (norm > 0.0)))
+        batch[VERDICT * WIDE + j] = DROPPED if dark else becomes
         batch[BEND * WIDE + j] = bend
 
 
 @compiled()
 def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
-    """Set energy and `tent` of each element of a batch."""
+    """Set energy and `tent` of each element of a batch, as `_spread` in the kernel has them.
+
+    Elements that are halved or dropped get them as well: computing them is cheaper than a branch.
+    """
     for j in range(min(count, WIDE)):
         wa, wb, wc = batch[3 * WIDE + j], batch[8 * WIDE + j], batch[13 * WIDE + j]
         energy = batch[GAIN * WIDE + j] * batch[AREA * WIDE + j]
@@ -150,6 +167,7 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
         side, other = _at(batch, ACROSS, j), _at(batch, ACROSS + 3, j)
         variance = path_variance(d3, batch[(LIGHT + 2) * WIDE + j], to_sensor, side, other) * per_metre * per_metre
         wide_a, wide_b, wide_c = widened(a, b, c, variance)
+        # Both are computed and one is chosen, again without a branch.
         large = batch[SIZE * WIDE + j] * per_metre > AT_ONCE
         a, b, c = wide_a if large else a, wide_b if large else b, wide_c if large else c
         shape = tent(a, b, c, wa, wb, wc, energy)
@@ -159,8 +177,12 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _taken(clear, first, count, batch, normal, p, lit, device, patches):  # type: ignore[no-untyped-def]
-    """Copy `count` elements of the stack, from number `first` on, into a batch."""
+def _copy_to_batch(clear, first, count, batch, normal, p, lit, device, patches):  # type: ignore[no-untyped-def]
+    """Copy `count` elements of the stack, from index `first` on, into a batch, with all that belongs to their
+    triangles and footprints.
+
+    normal : (F, 3) of triangles. p : row of footprints. device : whether the legs to the device count.
+    """
     position3, normal3, to_sensor3, across3 = patches.position, patches.normal, patches.to_sensor, patches.across
     weight3, footprint3, size3, leg3, quarters3 = (
         patches.weight, patches.footprint, patches.size, patches.leg, patches.quarters
@@ -185,14 +207,14 @@ def _taken(clear, first, count, batch, normal, p, lit, device, patches):  # type
 
 @compiled(_nrt=False, no_cpython_wrapper=True)
 def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  # type: ignore[no-untyped-def]
-    """Work off the `waiting` elements of the stack: halve them as often as needed and add their light to row `into`.
+    """Halve the `waiting` elements of the stack as often as needed, and add their light to row `into` of a histogram.
 
-    lit : the laser point. p : the row of footprints. allowed : L2 error that an element may make, photons. free :
-    where lists of possible occluders end.
+    lit : the laser point. p : row of footprints. allowed : L2 error that an element may make, photons.
+    free : index behind the last list of possible occluders.
 
-    Returns the number of elements that still wait on this stack, the number whose light was added, the light outside
-    the window of time, and the number of those that now wait in `room.cell` to be seen from quarters of their
-    footprints; after `MOST_QUARTERED` of these, no more elements are taken.
+    Returns the number of elements that still wait on this stack, the number whose light was added, the photons
+    outside the window of time, and the number of elements that now wait on the kernel's stack to be seen from
+    quarters of their footprints; after `MOST_QUARTERED` of these, no more elements are taken.
     """
     clear, batch, cuts, tag, cell = room.clear, room.batch, room.cuts, room.tag, room.cell
     x, n1, clock, smallest = lit.x, lit.normal, scan.clock, SMALLEST * scan.tree.extent
@@ -200,15 +222,15 @@ def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  
     while waiting > 0 and top < MOST_QUARTERED:
         count = min(waiting, WIDE)
         waiting -= count
-        _taken(clear, waiting, count, batch, scan.tree.normal, p, lit, clock.device, scan.patches)
+        _copy_to_batch(clear, waiting, count, batch, scan.tree.normal, p, lit, clock.device, scan.patches)
         _middles(batch, count)
         light_at_points(batch, count, x, n1, clock.attenuation)
         _verdicts(batch, count, x, n1, allowed, clock)
         _tents(batch, count, clock.per_metre, clock.start)
         halves = 0
         for j in range(min(count, WIDE)):
-            what = batch[VERDICT * WIDE + j]
-            if what == SPREAD:
+            becomes = batch[VERDICT * WIDE + j]
+            if becomes == SPREAD:
                 shape = (
                     batch[TENT * WIDE + j], batch[(TENT + 1) * WIDE + j], batch[(TENT + 2) * WIDE + j],
                     batch[(TENT + 3) * WIDE + j], batch[(TENT + 4) * WIDE + j], batch[(TENT + 5) * WIDE + j],
@@ -216,7 +238,8 @@ def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  
                 )  # fmt: skip
                 lost += pour(histogram, into, shape, batch[ENERGY * WIDE + j])
                 cells += 1
-            elif what == CUT and batch[LONG * WIDE + j] > smallest:
+            elif becomes == CUT and batch[LONG * WIDE + j] > smallest:
+                # Only the new vertex is noted here, so that weights at all new vertices are computed in one loop.
                 side = 5 * int(batch[(LONG + 1) * WIDE + j])
                 y = half(_at(batch, side, j), _at(batch, (side + 5) % 15, j))
                 for i in range(3):
@@ -225,7 +248,8 @@ def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  
                     cuts[i * WIDE + halves] = batch[i * WIDE + j]
                 cuts[halves] = j
                 halves += 1
-            elif what == QUARTERED:
+            elif becomes == QUARTERED:
+                # It is still clear for the laser point, but the kernel has to find out what hides it from a quarter.
                 for i in range(AREA + 1):
                     cell[top, i] = batch[i * WIDE + j]
                 cell[top, 16], cell[top, 17] = batch[SHARE * WIDE + j], 0.0
@@ -235,6 +259,7 @@ def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  
         for k in range(min(halves, WIDE)):
             j = int(cuts[k])
             side = 5 * int(batch[(LONG + 1) * WIDE + j])
+            # Each half has the new vertex in place of one end of the side that was cut.
             for vertex in (side, (side + 5) % 15):
                 for i in range(STACKED):
                     clear[waiting, i] = batch[i * WIDE + j]

@@ -259,10 +259,10 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _error(one, i, two, j, most, keen, r, variance, share, haze):  # type: ignore[no-untyped-def]
+def _error(one, i, two, j, most, sharpest, r, variance, share, haze):  # type: ignore[no-untyped-def]
     """Estimated L2 error of a pair of elements, in the units of `most`.
 
-    most : upper bound of the pair's energy. keen : 1/width² of the narrower lobe. variance : of the path, bins².
+    most : upper bound of the pair's energy. sharpest : 1/width² of the narrower lobe. variance : of the path, bins².
     share : fraction of the pair that faces each other. haze : attenuation of the air for one bin of path.
     """
     # The series is of second order in each element's size over the distances to the other and to its own end.
@@ -272,7 +272,7 @@ def _error(one, i, two, j, most, keen, r, variance, share, haze):  # type: ignor
     across = size * size + near1 * near1 + near2 * near2
     # A lobe narrower than the element multiplies the error, but not beyond all of the energy.
     wrong = (
-        min(keen * across, max(across, 1.0))
+        min(sharpest * across, max(across, 1.0))
         + SHAPE * min(variance, 1.0)
         + CLIPPED * (1.0 - share)
         + haze * haze * variance
@@ -338,7 +338,7 @@ def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  #
                 forget_halves(ones)
                 forget_halves(twos)
                 b = twos.part[j]
-                keen = max(optics.sharp[a], optics.sharp[b])
+                sharpest = max(optics.sharp[a], optics.sharp[b])
                 waiting[0, 0], waiting[0, 1], top = i, j, 1
                 while top > 0:
                     top -= 1
@@ -357,7 +357,7 @@ def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  #
                         larger > 0
                         and top + 2 <= len(waiting)
                         and count + top + 2 < room
-                        and _error(ones.known, one, twos.known, two, most, keen, r, variance, share, haze)
+                        and _error(ones.known, one, twos.known, two, most, sharpest, r, variance, share, haze)
                         > rules.allowed
                     ):
                         # Halves are computed once and serve all pairs that are as fine there.

@@ -59,10 +59,9 @@ worse. Half of it costs a level more."""
 TRIALS, LOOKED_AT = (8, 48), 4
 """Fewest and most pairs of laser point and pixel in the trial, one in 32 of the scan's pairs in between; and the
 number of pairs computed roughly for each that is drawn. Half as many pairs represent the scan less well."""
-PATCH_LEVELS, PATCHES_SHARE, PATCHES_AT_MOST, FROM_QUARTERS = 3, 0.25, 0.5, 4 / 3
-"""Most times that pixels are quartered; share of the error asked that the size of footprints may cause, and the same
-for the finest footprints; and error of footprints, relative to the change when they are quartered once more (1 + 1/4
-+ 1/16 + … = 4/3, for it is of second order). Half of the shares takes up to twice the footprints."""
+PATCH_LEVELS, PATCHES_SHARE, PATCHES_AT_MOST = 3, 0.25, 0.5
+"""Most times that pixels are quartered; fraction of the error asked that the size of footprints may cause, and the
+same for the finest footprints. Half of the fractions takes up to twice the footprints."""
 ELEMENT_PAIRS_AT_ONCE = VALUES_AT_ONCE // 16
 ROUNDING = 1e-12
 """Rounding error of the running sums: bins below this share of a histogram's highest bin, and overflow below this
@@ -290,7 +289,8 @@ def _patches_for(
             return (level, 0.5 * error) if 0.5 * error <= PATCHES_AT_MOST * wanted else (-1, 0.0)
         run = scan.light(pairs, 1, level + 1, allowed)
         finer = root * run.histogram
-        error = FROM_QUARTERS * l2_norm(finer - coarse)
+        # The error is of second order: it is the sum of all further changes, 1 + 1/4 + 1/16 + … = 4/3 of this one.
+        error = 4 / 3 * l2_norm(finer - coarse)
         if error <= PATCHES_SHARE * wanted:
             return level, error
         level, coarse = level + 1, finer
@@ -434,7 +434,7 @@ class _Scan:
         while at[0] < len(pairs):
             at, joined, looked_at, doubt = join(at, of_ends, lit, ones, seen, twos, optics, rules, found, waiting)
             count, near = count + looked_at, near + doubt
-            if occlusion and occluders.any:
+            if occlusion and occluders.triangles > 0:
                 hidden = caster.occluded_scaled(found.origin[:joined], found.span[:joined])
                 rays += joined
             else:

@@ -1,11 +1,12 @@
-"""The primary of one laser point and pixel: surfaces cut into elements, each of them spread over its arrival times.
+"""The primary of laser points and pixels: surfaces cut into elements, each of them spread over its arrival times.
 
-A surface element is a triangle or a part of one. Its energy is exact for weights (`weights.py`) of second
-degree (three quarters of the middle and a quarter of the vertices), its weights are taken as linear and its arrival
-times too, moved so that their mean is that of second degree.
+A surface element is a triangle or a part of one. Its energy is exact for weights (`weights.py`) of second degree:
+three quarters of the weight in the middle and a quarter of the mean over the vertices. For its distribution over
+time, weights and arrival times are taken as linear over the element, and the times are moved so that their mean is
+exact for times of second degree.
 
-`gather` goes through all pairs; `_gather_part` takes one box of the BVH or one element after another from a stack,
-decides with the steps below it what becomes of it, and puts parts that need another look back on the stack.
+`gather` goes through all pairs. `_gather_part` takes boxes of the BVH and elements from a stack, one after another;
+the functions below it decide what becomes of each, and what is divided goes back on the stack.
 """
 
 from __future__ import annotations
@@ -58,16 +59,18 @@ from datagen.transport.visibility.bvh import CLUSTER, SMALLEST
 from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
-"""Expected error of an element, relative to its light: of one judged by a single shadow ray, on a part of up to
-`MESH` triangles and on one of more; and of one that three shadow rays have not found. On large faces few elements
-are partly hidden, for most are proven clear. On meshes hardly anything is proven, few elements are partly hidden
-all the same, and their errors have both signs, since rays go to random points: twice the second number takes up to
-a third more rays, half of it as many."""
+"""Expected error of an element, relative to its light: of an element that a single shadow ray decides, on a part of
+up to `MESH` triangles and on a larger part (`PARTLY`); and of an element of which three shadow rays found nothing
+(`UNFOUND`). On parts of few triangles most elements are proven clear, and those that are left are often partly
+hidden. On meshes hardly anything is proven, but few elements are partly hidden, and their errors have both signs,
+because rays go to random points: twice the second number takes up to a third more rays, half of it as many. Half of
+`UNFOUND` may miss more of what is seen through gaps."""
 STILL_UNFOUND = 0.5
-"""Factor of the last of these numbers for each larger element around, of which no ray found anything either: what
-lies deep behind a mesh cannot be proven hidden, and is not searched as finely as the edge of a shadow."""
+"""Factor by which `UNFOUND` falls with each halving after which again no ray finds anything: what lies deep behind a
+mesh cannot be proven hidden, and is not searched as finely as the edge of a shadow. Half of it searches less."""
 PLACES = 2.0**20
-"""Steps along the scene's size to which places are rounded to seed the random points of elements there."""
+"""Steps along the scene's size to which positions are rounded before they seed an element's random points. Half of
+it lets twice as many elements along a line have the same points."""
 TURNS, FEWEST = 16, 1 / 64
 """Light of an element up to which one quarter of an uneven footprint stands for all four: relative to the error
 that an element may make, and to the upper bound of all the part's light."""
@@ -85,8 +88,16 @@ time of compiling."""
 
 
 class Lit(NamedTuple):
-    """A laser point: position x, metres; normal; these and its BRDF as `weight` has them (`vertex`); part; photons
-    that arrive there per photon emitted (`power`); and distance from the laser, metres (`leg`)."""
+    """A laser point.
+
+    Attributes
+    ----------
+    x, normal : position, metres, and unit normal.
+    vertex : position, normal and BRDF, as `weights.weight` takes them.
+    part : part index.
+    power : photons that arrive per photon emitted.
+    leg : distance from the laser, metres.
+    """
 
     x: Vector
     normal: Vector
@@ -97,20 +108,20 @@ class Lit(NamedTuple):
 
 
 class View(NamedTuple):
-    """Footprint q of row p, with what belongs to the light that one box or element sends there.
+    """A footprint, and what all light that a part sends there has in common.
 
     Attributes
     ----------
-    p, q, z, normal : row and number; position, metres; unit normal.
-    vertex : position, normal and BRDF as `weight` has them.
-    size, area, quarters : largest extent, metres; area, m²; whether it has quarters.
-    gain : photons per unit of `weight` and of the element's area, m².
-    may, alike : L2 error that one element may make, photons, where errors from different footprints are independent,
-    and
-        where they are alike.
+    p, q : row and index of the footprint.
+    z, normal : position, metres, and unit normal.
+    vertex : position, normal and BRDF, as `weights.weight` takes them.
+    size, area, quarters : largest extent, metres; area, m²; and whether it has quarters.
+    gain : photons per unit of weight and of the element's area, m².
+    allowed, allowed_alike : L2 error that one element may make, photons, if its errors for different footprints are
+        independent, and if they are alike.
     keen : 1/width² of the narrowest lobe on the path.
-    device : length of the legs from laser and to sensor, metres; 0 if they do not count.
-    word : random word of this footprint and part, to which each element adds its place.
+    device : length of the legs from the laser and to the sensor, metres; 0 if they do not count.
+    word : random word of the footprint and part, which each element combines with its place.
     """
 
     p: int
@@ -122,8 +133,8 @@ class View(NamedTuple):
     area: float
     quarters: bool
     gain: float
-    may: float
-    alike: float
+    allowed: float
+    allowed_alike: float
     keen: float
     device: float
     word: np.uint64
@@ -153,7 +164,8 @@ class Element(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Arrays that `gather` works in: the stack (`tag`, `cell`), lists of possible occluders, and `room_for_clear`."""
+    """Scratch arrays of `gather`: the stack (`tag` and `cell`), lists of possible occluders (`listed`), and the
+    arrays of `room_for_clear`."""
 
     tag: Ints
     cell: Floats
@@ -164,7 +176,8 @@ class Room(NamedTuple):
 
     @classmethod
     def new(cls) -> Room:
-        """Room for any scene: each halving leaves one element more on the stack, each quartering three."""
+        """Arrays that are large enough for any scene: each halving leaves one element more on the stack, each
+        quartering three."""
         return cls(np.empty((1024, 6), np.int64), np.empty((1024, 18)), lists(1 << 14), *room_for_clear())
 
 
@@ -197,10 +210,10 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
 def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # type: ignore[no-untyped-def]
     """Add the light of part k to the histogram of one pair; p : its row of footprints.
 
-    Possible occluders of an element are among those of the box or element that contains it. So each entry of the
-    stack has a list of them, `candidates`: first … middle between it and the laser point, middle … last between it
-    and the footprint. Where a list is empty, no shadow ray is needed. Halves take over weights at their parent's
-    vertices, too.
+    The possible occluders of an element are among those of the box or element that contains it. So each entry of the
+    stack has lists of them, which `candidates` bounds: first … middle − 1 on the leg to the laser point, middle …
+    last − 1 on the leg to the footprint. If both lists are empty, the element needs no shadow ray. Halves of an
+    element also take over the weights at its vertices.
     """
     tree, patches, tag, cell = scan.tree, scan.patches, room.tag, room.cell
     allowed, into = scan.cutting.error[k], tally.row_of_pair[pair] + tally.row_of_part[k]
@@ -295,9 +308,11 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
 
 @compiled()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
-    """Which quarter (0–3) element number `turn` takes at this level: digit log₄(share) of `turn` in base 4.
+    """Index (0–3) of the quarter that stands for all four: digit log₄(share) of `turn` in base 4, the last digit
+    first.
 
-    share : number of footprints that the present one stands for, 4 to the power of the levels taken so far.
+    turn : running number of such elements. share : number of footprints that the present footprint stands for, 4 to
+    the power of the number of quarterings so far in which one stood for all.
     """
     while share > 1.0:
         turn >>= 2
@@ -307,7 +322,7 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
-    """The `View` from footprint q of row p to an element of part k, where the footprint stands for `share` alike."""
+    """The `View` from footprint q of row p to elements of part k; the footprint stands for `share` footprints."""
     patches, cutting = scan.patches, scan.cutting
     z, n, k3 = corner(patches.position, p, q), corner(patches.normal, p, q), patches.part[p, q]
     vertex = (z, n, corner(patches.to_sensor, p, q), scan.kind[k3], scan.values[k3])
@@ -315,19 +330,19 @@ def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
     # With lobes, all footprints of a pixel err alike, so that each may make its part of the error only; errors of
     # shadow rays to random points are independent, and grow as the root of their number.
     of_pixel = share * patches.fraction[q] if keen > 1.0 else 1.0
-    may, alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
+    allowed, allowed_alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
     device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
     word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(row)), np.uint64(q))
     return View(
         p, q, z, n, vertex, patches.size[p, q], patches.footprint[p, q], patches.quarters[q, 0] >= 0,
-        lit.power * patches.weight[p, q] * share, may, alike, keen, device, word,
+        lit.power * patches.weight[p, q] * share, allowed, allowed_alike, keen, device, word,
     )  # fmt: skip
 
 
 @compiled(**STEP)
 def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ignore[no-untyped-def]
-    """Upper bound of the photons from a box or element to any place within an uneven footprint, −1 if there are none;
-    whether it is so large that it is divided before the footprint is quartered; and which of its sides is longest."""
+    """Upper bound of the photons from a box or element to an uneven footprint, −1 if there are none; whether the box
+    or element is so large that it is divided before the footprint is quartered; and number of its longest side."""
     tree, patches, size, side = scan.tree, scan.patches, scan.patches.size[p, q], 0
     if what == BOX:
         m, h = bounding_sphere(tree.box, at)
@@ -369,7 +384,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     at_most = view.gain * peak[lit.part] * peak[k] * peak[scan.patches.part[view.p, view.q]] * area
     at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
     at_most *= facing_at_most(m, h + view.size, axis, cosine, sine, z, rise3 + view.size)
-    small, near3 = is_small(tree.box, at, x, z, at_most, view.may, attenuation)
+    small, near3 = is_small(tree.box, at, x, z, at_most, view.allowed, attenuation)
     if sides > 0 and not small:
         # The peak of a lobe is far more than what a box turned away from it brings.
         tilt = math.acos(max(cosine, -1.0))
@@ -377,7 +392,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
             m, axis, scan.kind[k], scan.values[k], lit.vertex, view.vertex, view.area, attenuation, 2.0 * h,
             view.size, tilt,
         )  # fmt: skip
-        small = at_most <= view.may and 2.0 * h <= COARSEST * near3
+        small = at_most <= view.allowed and 2.0 * h <= COARSEST * near3
     if small and view.quarters and view.size > 0.3 * near3:
         return QUARTERED
     return ONE_POINT if small else OPENED
@@ -416,8 +431,8 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
 def _light_at_vertices(  # type: ignore[no-untyped-def]
     scan, lit, view, what, f, k, candidates, room, top, alight
 ):  # fmt: skip
-    """DROPPED, CLEAR (put on the stack of clear elements) or SPREAD (to be judged), of the element at `top` on
-    triangle f.
+    """What becomes of the element at `top`, on triangle f: DROPPED, CLEAR (it was put on the stack of clear elements)
+    or SPREAD (it has to be judged).
 
     A fresh element gets the weights at its vertices. alight : height of the stack of clear elements.
     """
@@ -456,8 +471,8 @@ def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-de
 
 @compiled(**STEP)
 def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-def]
-    """DROPPED, QUARTERED, CUT or SPREAD, as if nothing hid the element; the L2 error if all its light were missing,
-    photons; and the `bend` of its arrival times (`weights.verdict`)."""
+    """What becomes of an element that nothing hides: DROPPED, QUARTERED, CUT or SPREAD; the L2 error if all its light
+    were missing, photons; and the `bend` of its arrival times (`weights.verdict`)."""
     clock, kind2, values2, m, n = scan.clock, scan.kind[k], scan.values[k], element.m, element.n
     bright, size, h, rise3 = element.w, view.size, element.h, element.rise3
     if lit.vertex[3] != LAMBERTIAN or kind2 != LAMBERTIAN or view.vertex[3] != LAMBERTIAN:
@@ -468,51 +483,52 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     paths, r1, r3 = (cell[top, 4], cell[top, 9], cell[top, 14]), element.r1, element.r3
     unseen = outside(paths, r1 + r3, view.device, size, clock.opens, clock.closes)
     w = max(bright, cell[top, 3], cell[top, 8], cell[top, 13])
-    cut, quarter, over, bend = verdict(
+    cut, quarter, norm, bend = verdict(
         paths, (cell[top, 15], w), (h, r1, r3), (view.gain, view.area, size, view.quarters),
-        (view.keen, view.alike), (clock.per_metre, clock.attenuation), unseen,
+        (view.keen, view.allowed_alike), (clock.per_metre, clock.attenuation), unseen,
     )  # fmt: skip
     if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
         # The lit side faces away from the footprint's middle. A large footprint may reach above the element's plane:
         # the light that arrives `size` above the plane bounds what is lost if this is neglected.
         if not (view.quarters and abs(rise3) < size):
-            return DROPPED, over, bend
+            return DROPPED, norm, bend
         rise, z = math.copysign(size, element.rise1), view.z
         z_lit = (z[0] + rise * n[0], z[1] + rise * n[1], z[2] + rise * n[2])
         _, n3, to_sensor, kind3, values3 = view.vertex
         if view.gain * cell[top, 15] * weight_at_most(
             m, n, kind2, values2, lit.vertex, (z_lit, n3, to_sensor, kind3, values3), view.area,
             clock.attenuation, h, size, 0.0,
-        ) <= view.alike:  # fmt: skip
-            return DROPPED, over, bend
+        ) <= view.allowed_alike:  # fmt: skip
+            return DROPPED, norm, bend
         quarter = True
-    if not (quarter or over > 0.0):
-        return DROPPED, over, bend
-    return QUARTERED if quarter else CUT if cut else SPREAD, OUTSIDE * over if unseen else over, bend
+    if not (quarter or norm > 0.0):
+        return DROPPED, norm, bend
+    return QUARTERED if quarter else CUT if cut else SPREAD, OUTSIDE * norm if unseen else norm, bend
 
 
 @compiled(**STEP)
 def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top):  # type: ignore[no-untyped-def]
-    """DROPPED, CUT or SPREAD by what shadow rays find of an element, and the number of rays.
+    """What becomes of an element by what shadow rays find of it, DROPPED, CUT or SPREAD; and the number of rays.
 
-    becomes : the verdict as if nothing hid it, CUT or SPREAD. at_stake : L2 error if all its light were missing.
+    becomes : what becomes of it if nothing hides it, CUT or SPREAD. at_stake : L2 error if all its light were
+    missing, photons.
     """
     first, _, last = candidates
     if first == last:
         return becomes, 0
     if becomes == CUT:
-        # It gets no rays, for those to its halves tell more. Without a proof, triangles that lie under darker ones
-        # would be halved for minutes.
+        # It gets no rays, because rays to its halves tell more. Without a proof that it is hidden, triangles that lie
+        # beneath darker ones would be halved for minutes.
         return DROPPED if _proven_hidden(scan, lit, view, element, candidates, room, top) else CUT, 0
     tree, cell = scan.tree, room.cell
     mesh = tree.span[tree.roots[k], 1] - tree.span[tree.roots[k], 0] > MESH
     # One ray to a random point is right on average; it is enough where its error is small.
-    count = 1 if (PARTLY[1] if mesh else PARTLY[0]) * at_stake <= view.may else 3
+    count = 1 if (PARTLY[1] if mesh else PARTLY[0]) * at_stake <= view.allowed else 3
     seen, rays = _points_seen(scan, lit, view, element, count, candidates, room, top)
     if count == 1:
         return SPREAD if seen > 0 else DROPPED, rays
     # Some of the element may be seen although three rays found nothing: it is halved if that might be too much.
-    cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.may)
+    cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.allowed)
     if seen == 0 and (not cut or _proven_hidden(scan, lit, view, element, candidates, room, top)):
         return DROPPED, rays
     cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
@@ -531,8 +547,8 @@ def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ig
 
 @compiled(**STEP)
 def _points_seen(scan, lit, view, element, count, candidates, room, top):  # type: ignore[no-untyped-def]
-    """Number of random points of an element that the laser point lights and the footprint sees, out of `count` (1
-    or 3), counted until some are seen and some are not; and the number of points asked."""
+    """Number of random points of an element, out of `count` (1 or 3), that the laser point lights and the footprint
+    sees; and number of points tried, fewer than `count` as soon as some are seen and some are not."""
     tree, x, z, m, cell = scan.tree, lit.x, view.z, element.m, room.cell
     seen, rays = 0, 0
     word_here = _word_at(view.word, subtract(m, x), tree.extent)
@@ -551,7 +567,7 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
 
 @compiled()
 def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
-    """A random word of the place y, a vector from the laser point, metres: it depends neither on where the scene lies
+    """Random word of the place y, a vector from the laser point, metres. It depends neither on where the scene lies
     nor on the order of its triangles."""
     per = PLACES / extent
     for j in range(3):
@@ -571,7 +587,7 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
 
 @compiled(**STEP)
 def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
-    """Lists of those candidates that may hide some of the element at `top`, for its halves.
+    """Bounds of the lists of those candidates that may hide some of the element at `top`, for its halves.
 
     Many halves then have empty lists and need no rays.
     """
@@ -587,8 +603,8 @@ def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no
 
 @compiled(**STEP)
 def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no-untyped-def]
-    """Put the box or element at `top` on the stack once for each quarter of footprint q, or only for quarter
-    `only` ≥ 0, which stands for all; returns the new height of the stack."""
+    """New height of the stack, after the box or element at `top` was put there once for each quarter of footprint q,
+    or once for quarter `only` ≥ 0, which then stands for all four."""
     tag, cell, listed, quarters = room.tag, room.cell, room.listed, scan.patches.quarters
     first, middle, last = candidates
     # Seen from another point of the wall, other things may hide the element: the list for that leg starts anew. The
@@ -612,7 +628,7 @@ def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no
 
 @compiled(**STEP)
 def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
-    """Put the two boxes within box `at`, or its triangles, on the stack; returns the new height."""
+    """New height of the stack, after the two boxes within box `at`, or its triangles, were put there."""
     tree, tag, cell = scan.tree, room.tag, room.cell
     start, end = tree.span[at, 0], tree.span[at, 1]
     if end - start > CLUSTER:
@@ -628,7 +644,7 @@ def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
 
 @compiled(**STEP)
 def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ignore[no-untyped-def]
-    """Add the light of the element at `top` to a histogram; returns the photons outside the window of time."""
+    """Photons outside the window of time, after the light of the element at `top` was added to row `into`."""
     per_metre, wa, wb, wc = scan.clock.per_metre, cell[top, 3], cell[top, 8], cell[top, 13]
     energy = view.gain * cell[top, 15] * (0.75 * element.w + 0.25 * (wa + wb + wc) / 3)
     zero = (view.device - 0.75 * bend) * per_metre - scan.clock.start

@@ -561,10 +561,10 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
     if height < 0.0:
         n = (-n[0], -n[1], -n[2])
     # The narrowest lobe at the end sets how fast w may change across an element.
-    keen, lobed = 1.0, False
+    sharpest, lobed = 1.0, False
     for q in range(points):
         if part[p, q] >= 0:
-            keen, lobed = max(keen, optics.sharp[part[p, q]]), lobed or optics.kind[part[p, q]] != LAMBERTIAN
+            sharpest, lobed = max(sharpest, optics.sharp[part[p, q]]), lobed or optics.kind[part[p, q]] != LAMBERTIAN
     for j in range(3):
         put(waits[0], j, 0, corner(tree.corners, f, j))
     area[0], top = tree.area[f + 1] - tree.area[f], 1
@@ -588,7 +588,7 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
         if not over > 0.0 and near:
             continue
         # The relative error of a piece is of second order in its size over distance and width of lobe.
-        cut, visible = not near or over * min(keen * across, max(across, 1.0)) > error, 1.0
+        cut, visible = not near or over * min(sharpest * across, max(across, 1.0)) > error, 1.0
         if last > LISTED and not cut:
             # Rays to three points, half way from the centroid to the vertices, show whether the piece is partly
             # hidden.

@@ -72,11 +72,6 @@ class Occluders(NamedTuple):
         seconds[:, C:NORMAL], seconds[:, NORMAL : NORMAL + 3] = corners[:, 2], tree.normal[number]
         return cls(row, len(number), flat)
 
-    @property
-    def any(self) -> bool:
-        """Whether anything can be hidden."""
-        return self.triangles > 0
-
 
 def _hides(scene: Scene, tree: Hierarchy) -> Bools:
     """(F,) whether each triangle of the BVH can hide anything: whether some of the scene lies on either side of it.
