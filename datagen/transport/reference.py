@@ -126,7 +126,7 @@ def plain_paths(
     z, n_z, part_z = seen.position, seen.normal, part_of_face[seen.face]
     last = capture.sensor.position - z
     leg_z = np.linalg.norm(last, axis=1)
-    gain = np.abs(_dot(q, across)) / _dot(q, q) ** 1.5 * air(leg_z) * seen.valid * _aperture(capture, leg_z)
+    gain = np.abs(dots(q, across)) / dots(q, q) ** 1.5 * air(leg_z) * seen.valid * aperture_area(capture, leg_z)
 
     found = []
     if direct:
@@ -136,7 +136,7 @@ def plain_paths(
         w = to / r[:, None]
         inside = np.einsum("nk,njk->nj", w, PixelCones.of(capture.sensor).planes[pixel]).max(axis=1) <= 0
         inside &= ~caster.occluded(capture.sensor.position, x + caster.offset_m * n_x)
-        photons = power * f(part_x, n_x, back, w) * _dot(n_x, w) * _aperture(capture, r) / r**2 * air(r) * inside
+        photons = power * f(part_x, n_x, back, w) * dots(n_x, w) * aperture_area(capture, r) / r**2 * air(r) * inside
         found.append(Paths(np.arange(count) // samples, np.arange(count), np.ones(count, np.int64), part_x,
                            path + r * device, photons))  # fmt: skip
     order, area = 2, caster.face_area_m2
@@ -156,7 +156,7 @@ def plain_paths(
         root, other = np.sqrt(rng.random(count)), rng.random(count)
         weights = np.stack([1 - root, root * (1 - other), root * other], axis=1)
         y = np.einsum("nk,nkj->nj", weights, caster.corners[face])
-        n_y = caster.face_normal[face] * np.sign(_dot(caster.face_normal[face], x - y))[:, None]
+        n_y = caster.face_normal[face] * np.sign(dots(caster.face_normal[face], x - y))[:, None]
         w, r, near = _between(caster, x, n_x, y, n_y)
         power = power * f(part_x, n_x, back, w) * near * air(r) * area.sum()
         x, n_x, part_x, back, path, order = y, n_y, part_of_face[face], -w, path + r, order + 1
@@ -178,17 +178,18 @@ def _between(
     span = y - x
     r = np.linalg.norm(span, axis=1)
     w = span / np.maximum(r, 1e-300)[:, None]
-    cosines = np.maximum(_dot(n_x, w), 0.0) * np.maximum(-_dot(n_y, w), 0.0)
+    cosines = np.maximum(dots(n_x, w), 0.0) * np.maximum(-dots(n_y, w), 0.0)
     visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if shadow_rays else 1.0
     return w, r, np.divide(cosines, r**2, where=r > 0, out=np.zeros_like(r)) * visible
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def dots(a: Floats, b: Floats) -> Floats:
+    """(n,) scalar products of vectors a and b (n, 3)."""
     return np.asarray(np.einsum("nk,nk->n", a, b))
 
 
-def _aperture(capture: Capture, distance: Floats) -> Floats:
-    """(n,) area A of equation (1), m², seen from distances (n,): that of a small aperture or of a finite disc."""
+def aperture_area(capture: Capture, distance: Floats) -> Floats:
+    """(n,) area A of equation (1), m², seen from distances (n,), metres: of a small aperture or of a finite disc."""
     sensor = capture.sensor
     near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
     return np.asarray(sensor.aperture_area_m2 * distance**2 / (distance**2 + near))

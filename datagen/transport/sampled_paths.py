@@ -33,9 +33,9 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable, evaluate, pdf, sample
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.reference import Paths
+from datagen.transport.reference import Paths, aperture_area, dots
 from datagen.transport.sampled_paths_aim import Aim, Ends, aim
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
 BY_AREA = 0.5
@@ -44,11 +44,6 @@ small or distant parts half as often, and near ones more often."""
 SOBOL_DIMENSIONS = 9
 """Quasi-random numbers of a sample: two draw the FoV point, three x₂, two the ray back from the FoV point, two x₃.
 Later vertices have independent numbers, as quasi-random ones would gain little there."""
-SURVIVAL = (0.05, 0.95)
-"""Least and greatest chance of a path to go on, where all orders are followed. The least one bounds the growth of a
-weight at a bounce (20-fold; half of it allows 40-fold); the greatest one makes every path end."""
-ROULETTE_FROM = 4
-"""Number of bounces from which paths may end by Russian roulette; half of it would add noise to the primary."""
 SMALLEST = 1e-200
 """Densities below this count as 0. It is far below any density with which a path is drawn, and safe to divide by;
 half of it would do the same."""
@@ -104,17 +99,13 @@ def _drawn(kind, values, part, normal, w_in, uv):  # type: ignore[no-untyped-def
     return w
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.einsum("nk,nk->n", a, b))
-
-
 def _leg(a: _Vertices, b: _Vertices) -> tuple[Floats, Floats, Floats, Floats]:
     """Unit directions (n, 3) from a to b, distances (n,), and the cosines (n,) at a and at b, 0 for a side that faces
     away."""
     span = b.position - a.position
-    distance = np.sqrt(_dot(span, span))
+    distance = np.sqrt(dots(span, span))
     w = span / np.maximum(distance, 1e-300)[:, None]
-    return w, distance, np.maximum(_dot(a.normal, w), 0.0), np.maximum(-_dot(b.normal, w), 0.0)
+    return w, distance, np.maximum(dots(a.normal, w), 0.0), np.maximum(-dots(b.normal, w), 0.0)
 
 
 def _over(a: Floats, b: Floats) -> Floats:
@@ -139,17 +130,21 @@ class _Tracer:
         self.aim = self.aimed(pairs)
 
     def air(self, metres: Floats) -> Floats:
+        """(n,) transmittance of air on paths (n,)."""
         return np.exp(-self.scene.attenuation_per_m * metres)
 
     def brdf(self, at: _Vertices, w_in: Floats, w_out: Floats) -> tuple[Floats, Floats]:
+        """BRDFs (n,) at vertices, and densities (n,) with which `drawn` draws `w_out` (n, 3); both 1/sr."""
         f, density = _brdf(self.materials.kind, self.materials.values, at.part, at.normal, w_in, w_out)
         return f, density
 
     def drawn(self, at: _Vertices, numbers: Floats) -> Floats:
+        """(n, 3) unit directions drawn by the BRDFs at vertices from numbers (n, 2) in 0 … 1."""
         kind, values = self.materials.kind, self.materials.values
         return np.asarray(_drawn(kind, values, at.part, at.normal, at.back, np.ascontiguousarray(numbers)))
 
     def lifted(self, at: _Vertices) -> Floats:
+        """(n, 3) points a little above the surface at vertices, metres, where shadow rays begin and end."""
         return at.position + self.caster.offset_m * at.normal
 
     def met(self, sample: Ints, hits: Hits) -> _Vertices:
@@ -170,7 +165,7 @@ class _Tracer:
         span = laser.targets[used] - laser.position
         points = self.met(np.arange(len(used)), self.caster.closest(laser.position, span))
         to_laser = laser.position - points.position
-        leg = np.sqrt(_dot(to_laser, to_laser))
+        leg = np.sqrt(dots(to_laser, to_laser))
         counts = leg if self.capture.time.origin == "source" else np.zeros_like(leg)
         points = replace(points, back=to_laser / leg[:, None], power=self.air(leg) / self.samples, path=counts)
         number = np.full(len(used), -1)
@@ -198,23 +193,18 @@ class _Tracer:
         u, v = uv[:, :1], uv[:, 1:]
         q = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
         along_u, along_v = (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
-        jacobian = np.abs(_dot(q, np.cross(along_u, along_v))) / _dot(q, q) ** 1.5
+        jacobian = np.abs(dots(q, np.cross(along_u, along_v))) / dots(q, q) ** 1.5
         hits = self.caster.closest(self.capture.sensor.position, q)
         there = hits.valid
         hits.face[~there] = 0
         points = self.seen(self.met(np.arange(len(q)), hits))
-        return points, np.where(there, self.aperture(points) * jacobian, 0.0)
+        return points, np.where(there, aperture_area(self.capture, points.path) * jacobian, 0.0)
 
     def seen(self, points: _Vertices) -> _Vertices:
         """The points as FoV points: `back` leads to the sensor, and `path` is the distance to the sensor."""
         to_sensor = self.capture.sensor.position - points.position
-        leg = np.sqrt(_dot(to_sensor, to_sensor))
+        leg = np.sqrt(dots(to_sensor, to_sensor))
         return replace(points, back=to_sensor / leg[:, None], path=leg)
-
-    def aperture(self, v: _Vertices) -> Floats:
-        sensor = self.capture.sensor
-        near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
-        return np.asarray(sensor.aperture_area_m2 * v.path**2 / (v.path**2 + near))
 
     def second(self, b: _Vertices, numbers: Floats) -> _Vertices:
         """First hidden vertices x₂ that the laser points b light, drawn by area or by the BRDF.
@@ -296,7 +286,8 @@ class _Tracer:
         span = self.capture.sensor.position - v.position
         inside = np.flatnonzero((np.einsum("nk,njk->nj", span, self.planes[self.pixel[v.sample]]) <= 0).all(axis=1))
         x, v = x.take(of_x[inside]), self.seen(v.take(inside))
-        photons, path_m = self.photons(x, v, self.aperture(v) * self.solid_angle[self.pixel[v.sample]], order)
+        gain = aperture_area(self.capture, v.path) * self.solid_angle[self.pixel[v.sample]]
+        photons, path_m = self.photons(x, v, gain, order)
         bright = np.flatnonzero(photons > 0)
         hidden = self.caster.occluded(self.capture.sensor.position, self.lifted(v.take(bright)))
         return self.paths(x, v, photons, path_m, order).take(bright[~hidden])
@@ -306,7 +297,8 @@ class _Tracer:
         v = self.seen(x)
         inside = np.einsum("nk,njk->nj", v.back, self.planes[self.pixel[v.sample]]).max(axis=1) <= 0
         f, _ = self.brdf(x, x.back, v.back)
-        photons = x.power * f * _dot(x.normal, v.back) * self.aperture(v) / v.path**2 * self.air(v.path)
+        aperture = aperture_area(self.capture, v.path)
+        photons = x.power * f * dots(x.normal, v.back) * aperture / v.path**2 * self.air(v.path)
         bright = np.flatnonzero(inside & (photons > 0))
         hidden = self.caster.occluded(self.capture.sensor.position, self.lifted(v.take(bright)))
         device = v.path if self.capture.time.origin == "source" else 0.0
@@ -330,7 +322,7 @@ class _Tracer:
             ways += _over(onto_x * _over(cos_x, r**2), x.density)
         if self.occlusion:
             lands = self.by_light(onto_v * _over(cos_v, r**2), v, order) * (self.has_lobe[x.part] | (order == 2))
-            ways += lands * self.solid_angle[self.pixel[v.sample]] * _over(v.path**2, _dot(v.normal, v.back))
+            ways += lands * self.solid_angle[self.pixel[v.sample]] * _over(v.path**2, dots(v.normal, v.back))
         device = v.path if self.capture.time.origin == "source" else 0.0
         photons = x.power * f_x * _over(cos_x * cos_v, r**2) * f_v * gain * self.air(r + v.path) / ways
         return photons, x.path + r + device

@@ -19,6 +19,11 @@ from datagen.records.arrays import Floats, Ints
 
 BITS = 32
 """Bits of a point's coordinates, and of the index of a point: a sequence has 2³² points."""
+ROULETTE_FROM, SURVIVAL = 4, (0.05, 0.95)
+"""Number of bounces from which Russian roulette may end paths, if all orders are asked for (half of it would end
+paths early that bring most of the light, and add noise to the primary); and least and greatest chance of a path to
+survive a bounce. The least one bounds the growth of a weight at a bounce (20-fold; half of it allows 40-fold); the
+greatest one makes every path end, also after the window (half of it makes the overflow noisier)."""
 
 _JOE_KUO = (
     (1, 0, (1,)),

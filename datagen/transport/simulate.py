@@ -21,6 +21,7 @@ from datagen.records.arrays import Bools, Ints
 from datagen.records.checks import check_kind, check_seed
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.error_control.meet_target import meet_target
+from datagen.transport.error_control.stratum import OBSERVED
 from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
@@ -29,10 +30,6 @@ from datagen.transport.path_tracing.averages import Average, Estimate, path_aver
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
 from datagen.transport.problem import Problem, TallyRows, components_asked
 from datagen.transport.visibility.raycast import Raycaster
-
-OBSERVED_IN_CONTACT = 64
-"""Observed points for each lookin where the factorised form is used although `Accuracy.observed` does not ask for it.
-Half as many halve its cost and nearly double its variance."""
 
 
 def simulate(
@@ -169,7 +166,7 @@ def prepared(
         _walked(accuracy, materials),
     )  # fmt: skip
     if _factorises_unasked(problem):
-        counts = replace(accuracy, observed=OBSERVED_IN_CONTACT)
+        counts = replace(accuracy, observed=OBSERVED)
         problem = replace(problem, accuracy=counts, walked=~factorising(materials))
     return problem
 

@@ -72,20 +72,18 @@ shadow rays."""
 WITHIN = 0.7
 """Largest estimate of error on the trial's pairs, relative to the error asked, that is accepted: other pairs may be
 worse. Half of it costs a cutting more."""
-BETWEEN, HALVINGS, WIDELY, TINY = 8, 60, 60.0, 1e-150
-"""Cuttings considered between two that were tried (with half as many, the cheapest is met less exactly); halvings of
-the range of the Lagrange multiplier, and the range's extent in powers of e (both ample); and a number too small to
-divide by."""
+BETWEEN, TINY = 8, 1e-150
+"""Cuttings considered between two that were tried (with half as many, the cheapest is met less exactly); and a number
+to divide by in place of zero."""
 MOST_PATCHES, MOST_PATCHES_TRIED = 1 << 22, 1 << 18
 """Most footprints of all pixels, and most points of the trial's pixels at edges; half as many take half the memory
 and give up strict targets earlier."""
 PATCHES_SHARE = 0.2
 """Share of the error asked that the size of footprints may cause. Half of it doubles the number of footprints, for
 their error is inversely proportional to their number."""
-MOST_LEVELS, FROM_LARGER, FINEST_SHARE = 6, 1 / 3, 0.5
-"""Most times that pixels of the trial are quartered; error of footprints, relative to their difference from
-footprints twice as large, for it is of second order; and the share of `PATCHES_SHARE` that the finest footprints may
-have, which are the truth for the others."""
+MOST_LEVELS, FINEST_SHARE = 6, 0.5
+"""Most times that pixels of the trial are quartered; and fraction of `PATCHES_SHARE` that the finest footprints may
+have, which are the truth for the others. Half of either gives up strict targets earlier."""
 FROM_FEWER, SLOWEST = 0.5, 0.4
 """Error of a net of points, relative to its difference from a net of a quarter as many: beside an edge it is of order
 3/4 in their number; and the least ratio of an estimated error to the one before it that is believed, for a difference
@@ -433,7 +431,8 @@ def quarter(trial: Trial, choice: Choice, request: Asked, pixels: int) -> Quarte
     # Where a surface is close before a pixel, even the finest footprints of the first runs may be too large.
     finest, error_of_finest, groups_of_finest = trial.levels, 0.0, np.zeros(len(limits))
     while finest > 0:
-        change = FROM_LARGER * (at(finest) - at(finest - 1))
+        # The error is of second order: a third of the difference from footprints twice as large.
+        change = 1 / 3 * (at(finest) - at(finest - 1))
         error_of_finest, groups_of_finest = _norm(change), _norms(change)
         if finest == MOST_LEVELS or (
             error_of_finest <= FINEST_SHARE * most and (groups_of_finest <= FINEST_SHARE * limits).all()
@@ -510,12 +509,13 @@ def _cheapest(
         for table, values in ((cutting, cuttings[known, g]), (error, errors), (cost, np.maximum(costs[known, g], 1))):
             table[:, g] = np.exp(np.interp(at, known, np.log(values)))
         cost[error[:, g] > max(limit[g], group_error[level[g], g]), g] = np.inf
-    # The least cost under a bound on Σ error² is the least of cost + λ error² in each group; λ by bisection.
+    # The least cost under a bound on Σ error² is the least of cost + λ error² in each group; λ by bisection, over a
+    # range that reaches e^60 beyond the values that occur, in 60 halvings.
     every, finite = np.arange(groups), cost[np.isfinite(cost)]
-    low, high = math.log(finite.min() / most**2) - WIDELY, math.log(finite.max() / most**2) + WIDELY
+    low, high = math.log(finite.min() / most**2) - 60.0, math.log(finite.max() / most**2) + 60.0
     # `most` is next to nothing where other groups have used up the error; e^700 is nearly the largest float.
     high = min(high, 700.0)
-    for _ in range(HALVINGS):
+    for _ in range(60):
         multiplier = 0.5 * (low + high)
         which = np.argmin(cost + np.exp(multiplier) * error**2, axis=0)
         low, high = (multiplier, high) if l2_norm(error[which, every]) > most else (low, multiplier)

@@ -21,8 +21,8 @@ CONVERGENCE = 1.25
 integrands, which bins make rough. With half of it, rounds take up to twice the samples that they need; with twice,
 rounds fall short."""
 OBSERVED = 64
-"""Second hidden vertices for each hidden vertex in the factorised secondary. Half as many halve its cost and nearly
-double its variance."""
+"""Observed points for each lookin in the factorised secondary if `Accuracy.observed` does not say how many. Half as
+many halve its cost and nearly double its variance."""
 FACTORISED_FROM = 1 << 17
 """`Accuracy.max_lookins` from which light beside the field of view is left to the factorised form: it draws
 `OBSERVED` rays for each hidden vertex, too many for a smaller limit."""

@@ -19,20 +19,8 @@ from datagen.transport.path_tracing import vertices as ends
 from datagen.transport.path_tracing.connections import Clock, Receiver, Rows, Tally
 from datagen.transport.path_tracing.vertices import SOBOL_STEPS
 from datagen.transport.problem import Problem, component_of
-from datagen.transport.sampling import Streams
+from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, Streams
 from datagen.units import path_from_time
-
-ROULETTE_FROM = 4
-"""Number of bounces from which Russian roulette may end paths, when all orders are asked for. Lower orders bring most
-of the light; half of it would end them early and add noise to the primary."""
-LIVES_PER_WINDOW = 1.0
-"""Mean free paths of the roulette on a length of path as long as the window: weights grow e-fold at most within it,
-however many bounces a path takes. Half of it lets weights grow √e-fold only and follows longer paths."""
-SURVIVAL_BEYOND = 0.95
-"""Chance to survive a bounce for light that arrives after the window, below 1 so that every path ends. Half of it
-ends paths sooner and makes the overflow noisier."""
-SURVIVAL_AT_LEAST = 0.05
-"""Least chance to survive a bounce, so that no weight grows more than 20-fold at once; half of it allows 40-fold."""
 
 
 def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, streams: Streams) -> tuple[Tally, Work]:
@@ -89,12 +77,11 @@ def trace_chunk(problem: Problem, chunk: Ints, pool: FovPool, count: int, stream
             break
         if last is None and order >= ROULETTE_FROM:
             # Within the window the chance to survive falls with each metre of path, not with each bounce: a path that
-            # bounces to and fro in a narrow corner would otherwise come out of it with a weight without bound.
+            # bounces to and fro in a narrow corner would otherwise come out of it with a weight without bound. On a
+            # length as long as the window weights grow e-fold.
             metres = np.linalg.norm(np.where(hits.valid[:, None], hits.position - vertices.position, 0.0), axis=1)
-            stays = np.where(
-                vertices.path > window_end_m, SURVIVAL_BEYOND, np.exp(-LIVES_PER_WINDOW * metres / window_end_m)
-            )
-            survival = np.clip(throughput * stays, SURVIVAL_AT_LEAST, 1.0)
+            stays = np.where(vertices.path > window_end_m, SURVIVAL[1], np.exp(-metres / window_end_m))
+            survival = np.clip(throughput * stays, SURVIVAL[0], 1.0)
             throughput = np.where(numbers[:, 3] < survival, throughput / survival, 0.0)
         vertices = ends.continued(problem.scene, vertices, hits, directions, throughput)
         order += 1
