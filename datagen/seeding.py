@@ -42,6 +42,7 @@ class LightStream(IntEnum):
     WALK_STEPS = 3
     LASER_POINTS = 4
     FOV_POINTS = 16
+    BEAM = 17
     FACTORISED_FOV_POINTS = 32
     FACTORISED_FIRST = 33
     FACTORISED_SECOND = 34

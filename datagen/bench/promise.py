@@ -28,7 +28,7 @@ from datagen.design.light import Light, light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import detector_for
 from datagen.errors import InputError
-from datagen.records import Accuracy, Capture, Laser, Transient
+from datagen.records import Accuracy, Capture, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.error_control.refinement import by_light
 
@@ -131,8 +131,8 @@ def some_points(capture: Capture, points: Ints) -> Capture:
     """A capture with some of its pixels, and in confocal scans with their laser points."""
     laser = capture.laser
     if capture.pairing == "confocal":
-        laser = Laser(laser.position, laser.targets[points])
-    return replace(capture, laser=laser, sensor=replace(capture.sensor, pixels=capture.sensor.pixels[points]))
+        laser = laser.take(points)
+    return replace(capture, laser=laser, sensor=capture.sensor.take(points))
 
 
 def _parts(run: Transient, names: Mapping[str, float]) -> dict[str, Floats]:

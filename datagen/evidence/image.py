@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.labels.images import HiddenSurface
-from datagen.records import Capture, Scene, Sensor
+from datagen.records import Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
@@ -73,9 +73,7 @@ def representative_pairs(caster: Raycaster, scene: Scene, capture: Capture) -> S
             times, histogram[:, 0] = times / len(lasers.part), 0
     if not len(pairs):
         return None
-    looking = Sensor(
-        sensor.position, sensor.pixels[pairs[:, 1]], sensor.aperture_radius_m, finite_aperture=sensor.finite_aperture
-    )
+    looking = sensor.take(pairs[:, 1])
     middle = np.full((len(pairs), 1, 2), 0.5)
     seen = fov_points(caster, scene, looking, PixelCones.of(looking), np.arange(len(pairs)), middle, 1)
     return ScanPairs(lasers.take(pairs[:, 0]), seen, histogram, times)

@@ -20,6 +20,7 @@ from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.flood import as_scan, one_bounce_of_beam, sum_of_flood, with_crosstalk
 from datagen.transport.path_tracing.averages import path_average
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.simulate import prepared
@@ -56,9 +57,9 @@ def light_in_sight(
         replicates=1, max_bounces=3, direct=accuracy.direct, secondary="none", occlusion=accuracy.occlusion,
     )  # fmt: skip
     flood = capture.illumination == "flood"
-    scan = replace(capture, illumination="scan")
+    scan = as_scan(capture) if flood else capture
     task = prepared(scene, scan, samples, seed, split_parts=True, caster=caster)
-    whole, light = path_average(task).rows, {}
+    whole, light, first = path_average(task).rows, {}, np.empty((0, 0, 0))
     for name in in_sight:
         k = scene.part_names.index(name)
         black = replace(scene, materials=(*scene.materials[:k], Lambertian(0.0), *scene.materials[k + 1 :]))
@@ -69,7 +70,10 @@ def light_in_sight(
             if row != k:
                 own += with_it - without
         np.maximum(own, 0.0, out=own)
-        light[name] = own.mean(axis=0, keepdims=True) if flood else own
+        light[name] = sum_of_flood(own, capture) if flood else own
+        if flood and capture.laser.cells is not None and accuracy.direct:
+            first = first if len(first) else one_bounce_of_beam(scene, capture, caster, task.materials)[0]
+            light[name] += with_crosstalk(first[k][None], capture.sensor)
     return light
 
 

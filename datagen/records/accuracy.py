@@ -10,7 +10,7 @@ from datagen.records.checks import check_choice, check_flag, check_integer, chec
 
 MAX_BOUNCES = 64
 LIMITS = {
-    "lookins": (1, 2**31), "fov_samples": (1, 2**20), "max_bounces": (3, MAX_BOUNCES), "replicates": (1, 1024),
+    "lookins": (1, 2**31), "fov_samples": (1, 2**20), "max_bounces": (1, MAX_BOUNCES), "replicates": (1, 1024),
     "observed": (1, 2**24), "max_lookins": (2048, 2**40),
 }  # fmt: skip
 """Count → smallest and largest value. The smallest `max_lookins` is what the first round of a target and one more
@@ -40,8 +40,8 @@ class Accuracy:
     lookins : rays from each laser point into the scene, over all replicates; ≥ 1. Each meets a hidden vertex (the
         paper's lookin, sec. 3.1).
     fov_samples : FoV points to which each vertex of a path is connected, per pixel; ≥ 1.
-    max_bounces : highest number of bounces, 3 (the primary) … 64; None: paths go on until Russian roulette ends them,
-        which leaves no light out on average.
+    max_bounces : highest number of bounces, 3 (the primary) … 64, or 1 and 2 with `direct`; None: paths go on until
+        Russian roulette ends them, which leaves no light out on average.
     replicates : independent randomisations of the quasi-random points, which give the standard error; ≥ 1
         (with 1 there is no error estimate). Reduced to `lookins` when that is smaller.
     observed : how the secondary (4 bounces) is computed. None: by path tracing, like all other orders. A number: by
@@ -124,6 +124,11 @@ class Accuracy:
                 f"Accuracy.secondary = {self.secondary!r}: ranks observed points' paths; set observed, such as 3600"
             )
         check_flag("Accuracy.direct", self.direct)
+        if self.max_bounces is not None and self.max_bounces < 3 and (not self.direct or self.target is not None):
+            raise InputError(
+                f"Accuracy.max_bounces = {self.max_bounces}: light of one and two bounces is direct light, simulated "
+                "with sample counts; set direct=True and no target, or take 3 or more"
+            )
         check_number("Accuracy", "faint_part", self.faint_part, 0.0, 1e30, "photons")
         for name in ("target", "part_target"):
             if getattr(self, name) is not None:

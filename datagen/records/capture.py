@@ -12,7 +12,15 @@ from numpy.typing import ArrayLike
 
 from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats, Ints
-from datagen.records.checks import as_points, check_choice, check_flag, check_integer, check_kind, check_number
+from datagen.records.checks import (
+    as_points,
+    as_weights,
+    check_choice,
+    check_flag,
+    check_integer,
+    check_kind,
+    check_number,
+)
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
@@ -26,6 +34,41 @@ MOST_BINS = 2**26
 MOST_VALUES = 2**36
 
 
+def _check_parallelograms(name: str, corners: Floats) -> None:
+    """Raise `InputError` unless all quadrilaterals of corners (n, 4, 3) are parallelograms to a millionth."""
+    a, b, c, d = corners.swapaxes(0, 1)
+    size = np.linalg.norm(c - a, axis=1)
+    bad = np.flatnonzero(np.linalg.norm(a + c - b - d, axis=1) > 1e-6 * size)
+    if len(bad):
+        raise InputError(
+            f"{name}[{bad[0]}]: its corners are those of no parallelogram, which footprints and cells of a beam "
+            "need; give four corners in order around with a + c = b + d"
+        )
+
+
+def _lattice(name: str, center: ArrayLike, right: ArrayLike, up: ArrayLike, rows: int, columns: int | None) -> Floats:
+    """(rows · columns, 4, 3) corners of the equal cells of the rectangle `center ± right ± up`.
+
+    Row 0 is at the top and column 0 at −right; corners go around from the lower left. Raises `InputError` for fewer
+    than one row or column, and for `right` and `up` that span no rectangle.
+    """
+    check_integer(name, "rows", rows, 1, 2**20)
+    check_integer(name, "columns", columns, 1, 2**20)
+    assert columns is not None
+    named = (("center", center), ("right", right), ("up", up))
+    c, r, u = (as_points(f"{name}: {key}", value, (3,)) for key, value in named)
+    if np.linalg.norm(np.cross(r, u)) <= 1e-9 * np.linalg.norm(r) * np.linalg.norm(u):
+        raise InputError(
+            f"{name}: right = {r.tolist()} and up = {u.tolist()} span no area; give half the width and half "
+            "the height of the rectangle as vectors, neither of them 0 nor along the other"
+        )
+    across = np.linspace(-1, 1, columns + 1)
+    upward = np.linspace(1, -1, rows + 1)
+    knots = c + across[None, :, None] * r + upward[:, None, None] * u
+    cells = np.stack([knots[1:, :-1], knots[1:, 1:], knots[:-1, 1:], knots[:-1, :-1]], axis=2)
+    return cells.reshape(rows * columns, 4, 3)
+
+
 @dataclass(frozen=True, init=False)
 class Laser:
     """A pulsed laser: each laser point is the first surface from `position` towards one of `targets`.
@@ -34,10 +77,16 @@ class Laser:
     ----------
     position : (3,) where the light comes from, metres.
     targets : (L, 3) one target for each laser point, metres; only the direction from `position` to it counts.
+    weights : (L,) shares of a flood's light that the laser points stand for, ≥ 0, scaled to the sum 1; None for equal
+        shares.
+    cells : (L, 4, 3) corners, in order around, of the part of a flood's beam that each laser point stands for, metres
+        (`Laser.flood` makes them); None for light that goes to the targets alone. Light is spread evenly over a
+        cell's quadrilateral, which has to be a parallelogram.
 
     Raises
     ------
-    InputError : another shape, coordinates that are not finite, or a target at `position`.
+    InputError : another shape, coordinates that are not finite, a target at `position`, weights that are negative or
+        all 0, or a cell that is no parallelogram.
 
     Examples
     --------
@@ -49,12 +98,64 @@ class Laser:
 
     position: Floats
     targets: Floats
+    weights: Floats | None
+    cells: Floats | None
 
-    def __init__(self, position: ArrayLike, targets: ArrayLike) -> None:
+    def __init__(
+        self,
+        position: ArrayLike,
+        targets: ArrayLike,
+        weights: ArrayLike | None = None,
+        cells: ArrayLike | None = None,
+    ) -> None:
         object.__setattr__(self, "position", as_points("Laser.position", position, (3,)))
         object.__setattr__(self, "targets", as_points("Laser.targets", targets, (None, 3)))
         if (np.linalg.norm(self.targets - self.position, axis=1) == 0).any():
             raise InputError("Laser.targets: a target equals the laser position; it gives no direction")
+        count = len(self.targets)
+        if weights is not None:
+            weights = as_weights("Laser.weights", weights, (count,))
+            if weights.sum() <= 0:
+                raise InputError("Laser.weights: all are 0, so no light is emitted; give positive shares")
+            weights = weights / weights.sum()
+        object.__setattr__(self, "weights", weights)
+        if cells is not None:
+            cells = as_points("Laser.cells", cells, (count, 4, 3))
+            _check_parallelograms("Laser.cells", cells)
+        object.__setattr__(self, "cells", cells)
+
+    @classmethod
+    def flood(
+        cls, position: ArrayLike, center: ArrayLike, right: ArrayLike, up: ArrayLike, rows: int, columns: int,
+        weights: ArrayLike | None = None,
+    ) -> Laser:  # fmt: skip
+        """One wide beam through the rectangle `center ± right ± up`, as rows × columns laser points in its cells.
+
+        The laser points are the middles of equal cells, row 0 at the top, column 0 at −right. One bounce of light is
+        integrated over the whole cells, light of more bounces starts at the laser points. `weights` (rows · columns,)
+        are the shares of the light in the cells. It goes with `Capture(…, illumination="flood")`.
+
+        Raises `InputError` for fewer than one row or column, and for `right` and `up` that span no rectangle.
+
+        >>> import datagen as dg
+        >>> laser = dg.Laser.flood((0, 0, 1), center=(1, 0, 1), right=(0, -0.3, 0), up=(0, 0, 0.3), rows=4, columns=4)
+        >>> laser.targets.shape, laser.cells.shape
+        ((16, 3), (16, 4, 3))
+        """
+        cells = _lattice("Laser.flood", center, right, up, rows, columns)
+        return cls(position, cells.mean(axis=1), weights, cells)
+
+    def take(self, lasers: Ints) -> Laser:
+        """The laser with some of its targets, by number, and their weights and cells."""
+        return Laser(
+            self.position, self.targets[lasers], None if self.weights is None else self.weights[lasers],
+            None if self.cells is None else self.cells[lasers],
+        )  # fmt: skip
+
+    @property
+    def shares(self) -> Floats:
+        """(L,) shares of a flood's light, which sum to 1."""
+        return np.full(len(self.targets), 1 / len(self.targets)) if self.weights is None else self.weights
 
 
 @dataclass(frozen=True, init=False)
@@ -69,20 +170,31 @@ class Sensor:
     aperture_radius_m : radius of the entrance aperture, > 0.
     finite_aperture : count what a disc of that radius receives, a²/(R² + a²), which matters when the sensor stands
         within some ten radii of the wall; False is the small-aperture limit a²/R².
+    footprints : (P, R, C) sensitivity of each pixel over its quadrilateral, ≥ 0, on a grid of R × C equal cells, in
+        units of the full aperture; row 0 lies at the side from corner 0 to corner 1, column 0 at corner 0. The
+        quadrilaterals, which may overlap, have to be parallelograms. None: 1 everywhere.
+    crosstalk : share of the light of all other pixels that each pixel receives as well, ≥ 0; for floods only.
+    glass : (P,) photons that the sensor's cover glass sends straight back to each pixel at the moment of emission,
+        per emitted photon, ≥ 0; part of the direct light of a flood. None: no glass.
 
     Raises
     ------
-    InputError : another shape, coordinates that are not finite, or a radius that is not positive.
+    InputError : another shape, coordinates that are not finite, a radius that is not positive, or a pixel with a
+        footprint that is no parallelogram.
     """
 
     position: Floats
     pixels: Floats
     aperture_radius_m: float
     finite_aperture: bool
+    footprints: Floats | None
+    crosstalk: float
+    glass: Floats | None
 
     def __init__(
-        self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False
-    ) -> None:
+        self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False,
+        footprints: ArrayLike | None = None, crosstalk: float = 0.0, glass: ArrayLike | None = None,
+    ) -> None:  # fmt: skip
         object.__setattr__(self, "position", as_points("Sensor.position", position, (3,)))
         object.__setattr__(self, "pixels", as_points("Sensor.pixels", pixels, (None, 4, 3)))
         check_number("Sensor", "aperture_radius_m", aperture_radius_m, 1e-12, 1e9, "metres; 2 cm is 0.02")
@@ -94,6 +206,22 @@ class Sensor:
             )  # fmt: skip
         object.__setattr__(self, "aperture_radius_m", float(aperture_radius_m))
         object.__setattr__(self, "finite_aperture", bool(finite_aperture))
+        if footprints is not None:
+            footprints = as_weights("Sensor.footprints", footprints, (len(self.pixels), None, None))
+            _check_parallelograms("Sensor.pixels", self.pixels)
+        object.__setattr__(self, "footprints", footprints)
+        check_number("Sensor", "crosstalk", crosstalk, 0.0, 1.0, "share of the light of all other pixels")
+        object.__setattr__(self, "crosstalk", float(crosstalk))
+        glass = None if glass is None else as_weights("Sensor.glass", glass, (len(self.pixels),))
+        object.__setattr__(self, "glass", glass)
+
+    def take(self, pixels: Ints | slice) -> Sensor:
+        """The sensor with some of its pixels, by number."""
+        return Sensor(
+            self.position, self.pixels[pixels], self.aperture_radius_m, self.finite_aperture,
+            None if self.footprints is None else self.footprints[pixels], self.crosstalk,
+            None if self.glass is None else self.glass[pixels],
+        )  # fmt: skip
 
     @classmethod
     def grid(
@@ -113,24 +241,11 @@ class Sensor:
         >>> print(sensor.pixels[0].mean(axis=0))  # the middle of the pixel at the top left
         [3.  0.3 1.2]
         """
-        check_integer("Sensor.grid", "rows", rows, 1, 2**20)
         if cols is not None:
             warn("Sensor.grid: cols is now called columns", DeprecationWarning, stacklevel=2)
             columns = cols
-        check_integer("Sensor.grid", "columns", columns, 1, 2**20)
         assert columns is not None
-        named = (("center", center), ("right", right), ("up", up))
-        c, r, u = (as_points(f"Sensor.grid: {name}", value, (3,)) for name, value in named)
-        if np.linalg.norm(np.cross(r, u)) <= 1e-9 * np.linalg.norm(r) * np.linalg.norm(u):
-            raise InputError(
-                f"Sensor.grid: right = {r.tolist()} and up = {u.tolist()} span no area; give half the width and half "
-                "the height of the rectangle as vectors, neither of them 0 nor along the other"
-            )
-        across = np.linspace(-1, 1, columns + 1)
-        upward = np.linspace(1, -1, rows + 1)
-        knots = c + across[None, :, None] * r + upward[:, None, None] * u
-        pixels = np.stack([knots[1:, :-1], knots[1:, 1:], knots[:-1, 1:], knots[:-1, :-1]], axis=2)
-        return cls(position, pixels.reshape(rows * columns, 4, 3), aperture_radius_m)
+        return cls(position, _lattice("Sensor.grid", center, right, up, rows, columns), aperture_radius_m)
 
     @property
     def aperture_area_m2(self) -> float:
@@ -235,6 +350,11 @@ class Capture:
                 "Capture.illumination = 'flood' with pairing = 'confocal': a flood lights all points at once; "
                 "take pairing 'exhaustive'"
             )
+        if self.illumination == "scan" and (self.sensor.crosstalk > 0 or self.sensor.glass is not None):
+            raise InputError(
+                "Capture.illumination = 'scan' with Sensor.crosstalk or Sensor.glass: both are known for floods "
+                "only; leave them out, or take illumination 'flood'"
+            )
         lasers, pixels = len(self.laser.targets), len(self.sensor.pixels)
         if self.pairing == "confocal" and lasers != pixels:
             raise InputError(
@@ -254,10 +374,5 @@ class Capture:
 
     def excerpt(self, lasers: Ints, pixels: Ints | slice = slice(None)) -> Capture:
         """The capture of some laser points and pixels, by number; confocal pixels go with their laser points."""
-        laser, sensor = self.laser, self.sensor
-        seen = sensor.pixels[lasers if self.pairing == "confocal" else pixels]
-        return replace(
-            self,
-            laser=Laser(laser.position, laser.targets[lasers]),
-            sensor=Sensor(sensor.position, seen, sensor.aperture_radius_m, sensor.finite_aperture),
-        )
+        seen = lasers if self.pairing == "confocal" else pixels
+        return replace(self, laser=self.laser.take(lasers), sensor=self.sensor.take(seen))

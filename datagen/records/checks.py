@@ -113,8 +113,8 @@ def as_reals(name: str, value: ArrayLike) -> Floats:
     return array.astype(np.float64, copy=False)
 
 
-def as_points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
-    """Coordinates in metres, a read-only copy of the wanted shape (None: any size from 1); else `InputError`."""
+def as_shaped(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    """Real numbers, a read-only copy of the wanted shape (None: any size from 1); else `InputError`."""
     array = as_reals(name, value)
     fits = array.ndim == len(shape) and all(w is None or w == g for g, w in zip(array.shape, shape, strict=False))
     if not fits or array.size == 0:
@@ -123,9 +123,23 @@ def as_points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Flo
         raise InputError(
             f"{name}: shape {array.shape} given, {needed} needed{' with n ≥ 1' if None in shape else ''}"
         )
-    check_places(name, array)
     array = array.copy()
     array.setflags(write=False)
+    return array
+
+
+def as_weights(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    """Finite numbers ≥ 0, a read-only copy of the wanted shape (None: any size from 1); else `InputError`."""
+    array = as_shaped(name, value, shape)
+    if not (np.isfinite(array) & (array >= 0)).all():
+        raise InputError(f"{name}: holds numbers that are negative or not finite; give finite numbers ≥ 0")
+    return array
+
+
+def as_points(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Floats:
+    """Coordinates in metres, a read-only copy of the wanted shape (None: any size from 1); else `InputError`."""
+    array = as_shaped(name, value, shape)
+    check_places(name, array)
     return array
 
 

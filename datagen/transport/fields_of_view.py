@@ -28,7 +28,8 @@ class FovPool(NamedTuple):
 
     position, normal, to_sensor : (P, Q, 3) metres; unit normal facing the sensor; unit direction to the sensor.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
-    weight : (P, Q) A J / M, m² sr, with A the effective area of the aperture.
+    weight : (P, Q) A J / M, m² sr, with A the effective area of the aperture; times the pixel's sensitivity there
+        (`Sensor.footprints`).
     footprint : (P, Q) area of wall that one of M points stands for, m².
     last_leg : (P, Q) distance to the sensor, m.
     """
@@ -172,6 +173,8 @@ def fov_points(
     """
     direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))
+    if sensor.footprints is not None:
+        jacobian *= sensitivity(sensor.footprints, pixels[:, None], uv)
     shape = jacobian.shape
     part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64).reshape(shape)
     normal = hits.normal.reshape(*shape, 3)
@@ -182,6 +185,28 @@ def fov_points(
     )  # fmt: skip
     np.negative(direction, out=direction)
     return FovPool(position, normal, direction, part, weight, footprint, distance)
+
+
+def sensitivity(footprints: Floats, pixel: Ints, uv: Floats) -> Floats:
+    """(…) sensitivities of pixels at coordinates uv (…, 2) of their quadrilaterals, from footprints (P, R, C)."""
+    row = np.minimum(uv[..., 1] * footprints.shape[1], footprints.shape[1] - 1).astype(np.int64)
+    column = np.minimum(uv[..., 0] * footprints.shape[2], footprints.shape[2] - 1).astype(np.int64)
+    return np.asarray(footprints[pixel, row, column])
+
+
+def place_in_pixels(sensor: Sensor, w: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Coordinates uv (P, n, 2) of directions w (n, 3) in the sensor's pixels, which are parallelograms, and whether a
+    pixel contains them (P, n).
+
+    A direction meets the plane of a pixel with corners a, b, c, d at a + u (b − a) + v (d − a) = s w with s > 0.
+    """
+    a, b, _, d = (sensor.pixels[:, k] - sensor.position for k in range(4))
+    # w = (u/s) (b − a) + (v/s) (d − a) + (1/s) a
+    over_s = np.einsum("pij,nj->pni", np.linalg.inv(np.stack([b - a, d - a, a], axis=2)), w)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        uv = over_s[..., :2] / over_s[..., 2:]
+    inside = (over_s[..., 2] > 0) & (uv >= 0).all(axis=2) & (uv < 1).all(axis=2)
+    return np.where(inside[..., None], uv, 0.0), inside
 
 
 @compiled()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.records import Accuracy, Capture, Laser, Scene, Sensor
+from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Bools, Ints
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
@@ -28,7 +28,7 @@ def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
     orders = accuracy.max_bounces or 5
     requested = {
         "direct": accuracy.direct,
-        "primary": True,
+        "primary": orders >= 3,
         "secondary": orders >= 4 and accuracy.secondary != "none",
         "higher": orders >= 5,
     }
@@ -116,10 +116,9 @@ class Problem:
         """
         sensor, cones, patches = self.capture.sensor, self.cones, self.patches
         if self.capture.pairing == "confocal":
-            sensor = Sensor(sensor.position, sensor.pixels[lasers], sensor.aperture_radius_m, sensor.finite_aperture)
+            sensor = sensor.take(lasers)
             cones, patches = cones.take(lasers), patches.take(lasers)
-        laser = Laser(self.capture.laser.position, self.capture.laser.targets[lasers])
-        capture = Capture(laser, sensor, self.capture.time, self.capture.pairing)
+        capture = Capture(self.capture.laser.take(lasers), sensor, self.capture.time, self.capture.pairing)
         return replace(self, capture=capture, cones=cones, patches=patches, points=self.points.take(lasers))
 
     def patch_detail(self, pixels: Ints) -> float:

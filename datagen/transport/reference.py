@@ -27,12 +27,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.records import Capture, Scene, Transient
+from datagen.records import Capture, Laser, Scene, Transient
 from datagen.records.accuracy import MAX_BOUNCES
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
-from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.sampling import stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
@@ -109,9 +109,10 @@ def plain_paths(
     def air(metres: Floats) -> Floats:
         return np.exp(-scene.attenuation_per_m * metres)
 
-    # x₁, the laser point: the first surface along the laser's ray. `power` is the product in (1) so far, over the
-    # density with which the vertices were drawn; an emitted photon is shared by all samples.
-    hits = caster.closest(capture.laser.position, capture.laser.targets[laser] - capture.laser.position)
+    # x₁, the laser point: the first surface along the laser's ray, which a beam spreads over its cell. `power` is the
+    # product in (1) so far, over the density with which the vertices were drawn; an emitted photon is shared by all
+    # samples.
+    hits = caster.closest(capture.laser.position, _targets(capture.laser, laser, rng) - capture.laser.position)
     x, n_x, part_x = hits.position, hits.normal, part_of_face[hits.face]
     first = capture.laser.position - x
     leg = np.linalg.norm(first, axis=1)
@@ -127,6 +128,8 @@ def plain_paths(
     last = capture.sensor.position - z
     leg_z = np.linalg.norm(last, axis=1)
     gain = np.abs(dots(q, across)) / dots(q, q) ** 1.5 * air(leg_z) * seen.valid * aperture_area(capture, leg_z)
+    if capture.sensor.footprints is not None:
+        gain *= sensitivity(capture.sensor.footprints, pixel, np.hstack([u, v]))
 
     found = []
     if direct:
@@ -136,11 +139,16 @@ def plain_paths(
         w = to / r[:, None]
         inside = np.einsum("nk,njk->nj", w, PixelCones.of(capture.sensor).planes[pixel]).max(axis=1) <= 0
         inside &= ~caster.occluded(capture.sensor.position, x + caster.offset_m * n_x)
+        if capture.sensor.footprints is not None:
+            uv, within = place_in_pixels(capture.sensor, -w)
+            inside = sensitivity(capture.sensor.footprints, pixel, uv[pixel, np.arange(count)]) * (
+                inside & within[pixel, np.arange(count)]
+            )
         photons = power * f(part_x, n_x, back, w) * dots(n_x, w) * aperture_area(capture, r) / r**2 * air(r) * inside
         found.append(Paths(np.arange(count) // samples, np.arange(count), np.ones(count, np.int64), part_x,
                            path + r * device, photons))  # fmt: skip
     order, area = 2, caster.face_area_m2
-    while True:
+    while max_bounces != 1:
         # End the path here: x is x_{B−1}, z is x_B. The last factors of (1) are f_x cosθ_x cosθ_z V / R² · f_z A dΩ.
         w, r, near = _between(caster, x, n_x, z, n_z, occlusion or order == 2)
         photons = power * f(part_x, n_x, back, w) * near * air(r) * f(part_z, n_z, -w, last / leg_z[:, None]) * gain
@@ -165,6 +173,15 @@ def plain_paths(
             power = power * (rng.random(count) < GOES_ON) / GOES_ON
     every = Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
     return every.take(every.photons > 0)
+
+
+def _targets(laser: Laser, number: Ints, rng: np.random.Generator) -> Floats:
+    """(n, 3) targets of laser points by number: where a beam states its cells, random points of the cells."""
+    if laser.cells is None:
+        return laser.targets[number]
+    a, b, _, d = (laser.cells[number, k] for k in range(4))
+    u, v = rng.random((2, len(number), 1))
+    return np.asarray(a + u * (b - a) + v * (d - a))
 
 
 def _between(
@@ -209,10 +226,10 @@ def reference(
     caster = Raycaster(scene) if caster is None else caster
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
     pairs = pairs_of(capture)
-    # A flood is the mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.
+    # A flood is the weighted mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.
     flood = capture.illumination == "flood"
     histogram_of = pairs[:, 1] if flood else np.arange(len(pairs))
-    share = 1 / (replicates * len(capture.laser.targets)) if flood else 1 / replicates
+    share = (capture.laser.shares[pairs[:, 0]] if flood else np.ones(len(pairs))) / replicates
     parts = len(scene.part_names)
     rows, values = parts + 3, int(np.prod(shape))
     light, squares, overflow = np.zeros(rows * values), np.zeros(values), np.zeros(values // axis.bins)
@@ -228,7 +245,7 @@ def reference(
             # A bin is the integral of the flux between its edges; what arrives outside the window is overflow.
             place = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
             inside = (place >= 0) & (place < axis.bins)
-            histogram, photons = histogram_of[start + paths.pair], share * paths.photons
+            histogram, photons = histogram_of[start + paths.pair], share[start + paths.pair] * paths.photons
             # The rows are the primary of each part, then direct light, the secondary and higher orders.
             row = np.where(paths.order == 3, paths.part, parts + np.clip(paths.order - 3, 0, 2))
             to = (row * len(overflow) + histogram) * axis.bins + place.astype(np.int64)

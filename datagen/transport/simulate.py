@@ -15,7 +15,7 @@ from warnings import warn
 
 import numpy as np
 
-from datagen.errors import InputWarning
+from datagen.errors import InputError, InputWarning
 from datagen.records import Accuracy, Capture, Scene, Spend, Transient
 from datagen.records.arrays import Bools, Ints
 from datagen.records.checks import check_kind, check_seed
@@ -25,7 +25,7 @@ from datagen.transport.error_control.stratum import OBSERVED
 from datagen.transport.error_control.surroundings import CONTACT, surroundings
 from datagen.transport.factorised.secondary import factorising, secondary_transient
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
-from datagen.transport.flood import flooded
+from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
 from datagen.transport.path_tracing.averages import Average, Estimate, path_average, rays_of, split_rows
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
 from datagen.transport.problem import Problem, TallyRows, components_asked
@@ -56,12 +56,13 @@ def simulate(
     Returns
     -------
     Transient with arrays (L, P, T), photons at the aperture per emitted photon and bin. A laser ray that meets
-    nothing, or a pixel that sees nothing, gives zeros. Flood illumination gives the mean over its laser points,
-    (1, P, T), with L as the number of points of its quadrature (`transport/flood.py`).
+    nothing, or a pixel that sees nothing, gives zeros. Flood illumination gives the weighted mean over its laser
+    points, (1, P, T), with L as the number of points of its quadrature (`transport/flood.py`).
 
     Raises
     ------
-    InputError : for a pixel that is no convex quadrilateral, a negative seed, or an argument of another type.
+    InputError : for a pixel that is no convex quadrilateral, a negative seed, an argument of another type, or a
+        target for a sensor with footprints (`Sensor.footprints`), which needs sample counts.
 
     Warns
     -----
@@ -87,6 +88,11 @@ def simulate(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
+    if capture.sensor.footprints is not None and accuracy.target is not None:
+        raise InputError(
+            f"Accuracy.target = {accuracy.target:g} with Sensor.footprints: a target is met for pixels of even "
+            "sensitivity only; give sample counts instead, such as Accuracy(lookins=1024, fov_samples=4)"
+        )
     caster = Raycaster(scene)
     astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
     if astray:
@@ -133,8 +139,14 @@ def transient_of(
     caster : the ray caster of the scene, if there is one already.
     """
     if capture.illumination == "flood":
-        one_by_one = replace(capture, illumination="scan")
-        return flooded(transient_of(scene, one_by_one, accuracy, seed, split_parts=split_parts, caster=caster))
+        caster = Raycaster(scene) if caster is None else caster
+        one_by_one = transient_of(
+            scene, as_scan(capture), accuracy, seed, split_parts=split_parts, caster=caster
+        )  # fmt: skip
+        first = None
+        if capture.laser.cells is not None and accuracy.direct:
+            first = one_bounce_of_beam(scene, capture, caster, MaterialTable.of(scene.materials))
+        return flooded(one_by_one, capture, first)
     began = clock_time.perf_counter()
     problem = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()

@@ -93,9 +93,13 @@ def _add_direct(problem: Problem, receiver: Receiver, chunk: Ints, count: int, s
     """Number of connections that could carry energy, after adding the direct light to the receiver.
 
     Paths of one bounce: a pixel sees the laser point. Of two: the laser point lights a surface in the field of view.
+    One bounce of a beam that states its cells is left to `one_bounce_of_beam`.
     """
     split_of_part = problem.tally_rows.of_part(2)
-    receiver.add_laser_points(problem.points, chunk, int(split_of_part[0]))
+    if problem.capture.laser.cells is None:
+        receiver.add_laser_points(problem.points, chunk, int(split_of_part[0]))
+    if problem.accuracy.max_bounces == 1:
+        return 0
     vertices = ends.laser_point_vertices(problem.points, chunk, count, streams, problem.scene.attenuation_per_m)
     numbers = vertices.numbers(0)
     bright = receiver.connect(vertices, numbers[:, 0], split_of_part)

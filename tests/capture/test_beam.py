@@ -1,0 +1,114 @@
+"""A beam that states its cells, and pixels with footprints: what a sensor sees that looks straight at things."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.stats import chi2
+
+import datagen as dg
+from datagen.errors import InputError
+from datagen.records import Capture, Scene
+from datagen.transport.reference import reference
+
+DEVICE, LASER = np.zeros(3), np.array([0.0, 0.02, 0.01])
+at = trimesh.transformations.translation_matrix
+
+
+def scene() -> Scene:
+    """A slanted plate, a glossy ball before it, and a wall beside them, in front of a device that looks along x."""
+    plate = trimesh.creation.box((0.02, 1.2, 1.2), trimesh.transformations.rotation_matrix(0.4, (0, 0, 1)))
+    parts = [
+        dg.Part("plate", plate.apply_translation((0.8, 0, 0)), dg.Lambertian(0.7), role="relay_wall"),
+        dg.Part("wall", trimesh.creation.box((1, 0.02, 1), at((0.5, 0.5, 0))), dg.Lambertian(0.6), role="structure"),
+        dg.Part("ball", trimesh.creation.icosphere(3, 0.12).apply_translation((0.5, -0.1, 0.05)),
+                dg.Phong(0.5, exponent=4)),
+    ]  # fmt: skip
+    return dg.Scene.from_parts(parts)
+
+
+def footprints(pixels: int, rows: int = 6, columns: int = 5) -> np.ndarray:
+    return np.random.default_rng(3).uniform(0.0, 1.0, (pixels, rows, columns))
+
+
+def captured(cells: int, bins: int = 40, **sensor: object) -> Capture:
+    """A flood of cells × cells, and 2 × 2 zones that overlap."""
+    laser = dg.Laser.flood(LASER, (1, 0, 0), (0, -0.4, 0), (0, 0, 0.35), cells, cells,
+                           np.linspace(1, 2, cells**2))  # fmt: skip
+    middles = [(1, y, z) for z in (0.1, -0.1) for y in (0.12, -0.12)]
+    corners = [[(1, y + 0.2, z - 0.2), (1, y - 0.2, z - 0.2), (1, y - 0.2, z + 0.2), (1, y + 0.2, z + 0.2)]
+               for _, y, z in middles]  # fmt: skip
+    seen = dg.Sensor(DEVICE, np.array(corners), 1e-3, **sensor)  # type: ignore[arg-type]
+    axis = dg.TimeAxis(bins, 250e-12, origin="source")
+    return dg.Capture(laser, seen, axis, "exhaustive", "flood")
+
+
+@pytest.mark.parametrize("bounces", [1, 2, 4])
+def test_a_beam_with_footprints_equals_the_definition(bounces: int) -> None:
+    """χ² of all bins against plain samples, at a level of 10⁻⁶; the bins of all pixels count together."""
+    capture, room = captured(3, footprints=footprints(4)), scene()
+    accuracy = dg.Accuracy(lookins=1024, fov_samples=8, replicates=8, max_bounces=bounces, direct=True)
+    ours = dg.simulate(room, capture, accuracy, seed=1)
+    plain = reference(room, capture, samples=4096, replicates=16, max_bounces=bounces, direct=True, seed=2)
+    assert set(ours.components) <= set(plain.components)
+    stderr = np.hypot(np.nan_to_num(ours.stderr), plain.stderr)
+    bright = plain.total > 1e-3 * plain.total.max()
+    # Light of one bounce has an error of its own: its rays end in the bins of their own places.
+    grain = 0.004 * plain.total.max()
+    normal = (ours.total - plain.total)[bright] / np.hypot(stderr, grain)[bright]
+    assert bright.sum() > 10
+    assert (normal**2).sum() < chi2.isf(1e-6, bright.sum())
+    # Light of more bounces starts at the middles of 3 × 3 cells in one and all over the cells in the other.
+    quadrature = 0.005 if bounces == 1 else 0.025
+    energy, noise = ours.total.sum(axis=2) - plain.total.sum(axis=2), np.sqrt((stderr**2).sum(axis=2))
+    assert (np.abs(energy) < 5.5 * noise + quadrature * plain.total.sum(axis=2)).all()
+
+
+def test_light_of_one_bounce_has_its_closed_form() -> None:
+    """Before a wide wall that it faces, a narrow zone gets share · ρ/π · A/z² at the time 2 z/c."""
+    wall = trimesh.creation.box((0.1, 20, 20), at((2.05, 0, 0)))
+    room = dg.Scene.from_parts([dg.Part("wall", wall, dg.Lambertian(0.6), role="relay_wall")])
+    laser = dg.Laser.flood(DEVICE, (1, 0, 0), (0, -0.5, 0), (0, 0, 0.5), 4, 4)
+    sensor = dg.Sensor.grid(DEVICE, (1, 0, 0), (0, -0.05, 0), (0, 0, 0.05), 1, 1, 1e-3)
+    capture = dg.Capture(laser, sensor, dg.TimeAxis(100, 200e-12), "exhaustive", "flood")
+    found = dg.simulate(room, capture, dg.Accuracy(max_bounces=1, direct=True, lookins=1, replicates=1)).total[0, 0]
+    share = 0.1**2 / 1.0**2
+    np.testing.assert_allclose(found.sum(), share * 0.6 / np.pi * np.pi * 1e-6 / 4, rtol=0.03)
+    assert found.argmax() == int(4 / 299_792_458 / 200e-12)
+
+
+def test_crosstalk_and_glass_add_to_what_the_pixels_see() -> None:
+    room, plain = scene(), captured(4, footprints=footprints(4))
+    mixed = captured(4, footprints=footprints(4), crosstalk=0.02, glass=np.arange(4.0))
+    accuracy = dg.Accuracy(lookins=64, replicates=1, max_bounces=3, direct=True)
+    alone, together = dg.simulate(room, plain, accuracy), dg.simulate(room, mixed, accuracy)
+    expected = alone.total + 0.02 * (alone.total.sum(axis=1, keepdims=True) - alone.total)
+    expected[0, :, 0] += np.arange(4)
+    np.testing.assert_allclose(together.total, expected, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("message", "make"),
+    [
+        ("Laser.weights: all are 0", lambda: dg.Laser(LASER, [(1, 0, 0)], weights=[0.0])),
+        ("Laser.weights: holds numbers that are negative", lambda: dg.Laser(LASER, [(1, 0, 0)], weights=[-1.0])),
+        ("Laser.flood: right = ", lambda: dg.Laser.flood(LASER, (1, 0, 0), (0, 1, 0), (0, 2, 0), 2, 2)),
+        ("Sensor.footprints: shape", lambda: captured(2, footprints=np.ones((3, 2, 2)))),
+        ("Sensor.glass: shape", lambda: captured(2, glass=[0.0])),
+        ("Sensor.crosstalk = 2", lambda: captured(2, crosstalk=2)),
+        (
+            "no parallelogram",
+            lambda: dg.Sensor(DEVICE, [[(1, 0, 0), (1, 1, 0), (1, 2, 2), (1, 0, 1)]], footprints=np.ones((1, 1, 1))),
+        ),
+        (
+            "Accuracy.target = 0.1 with Sensor.footprints",
+            lambda: dg.simulate(scene(), captured(2, footprints=footprints(4)), dg.Accuracy(target=0.1)),
+        ),
+        ("Accuracy.max_bounces = 2", lambda: dg.Accuracy(max_bounces=2)),
+    ],
+)
+def test_wrong_values_are_refused_in_a_line(message: str, make: object) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        make()  # type: ignore[operator]
+    assert "\n" not in str(caught.value)
