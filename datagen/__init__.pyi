@@ -13,6 +13,7 @@ from .config import load_config as load_config
 from .design.exposure import with_exposure_found as with_exposure_found
 from .design.scene_for import scene_for as scene_for
 from .detector import Exposure as Exposure
+from .detector import Pulse as Pulse
 from .detector import Spad as Spad
 from .detector import detect as detect
 from .detector import expected_histogram as expected_histogram

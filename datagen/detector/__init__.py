@@ -15,9 +15,9 @@ Not modelled:
 from datagen.detector.classes import DETECTOR_CLASSES, detector_for
 from datagen.detector.detect import choose_sampler, detect, detect_and_choice, expected_histogram
 from datagen.detector.sampler_choice import Sampler, SamplerChoice
-from datagen.detector.spad import Exposure, Spad
+from datagen.detector.spad import Exposure, Pulse, Spad
 
 __all__ = [
-    "DETECTOR_CLASSES", "Exposure", "Sampler", "SamplerChoice", "Spad", "choose_sampler",
+    "DETECTOR_CLASSES", "Exposure", "Pulse", "Sampler", "SamplerChoice", "Spad", "choose_sampler",
     "detect", "detect_and_choice", "detector_for", "expected_histogram",
 ]  # fmt: skip

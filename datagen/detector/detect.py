@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -25,6 +26,8 @@ from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import check_number, shown
 
+N = TypeVar("N", bound=np.generic)
+
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
 
@@ -34,7 +37,7 @@ def detect(
     tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> Counts:  # fmt: skip
-    """Counts after an exposure, the shape of `transient`.
+    """Counts after an exposure, the shape of `transient` (with `Spad.bins_merged` bins added up to one).
 
     Laser pulse and carrier diffusion displace photons, gate and PDE thin them, and background joins them. The dead
     time removes events; the TDC's jitter displaces the records of those that are left. Every histogram is drawn by
@@ -92,13 +95,13 @@ def detect_and_choice(
     measured = Measurement.of(transient, time, spad, exposure, first_laser, first_pixel)
     lasers, pixels, bins = measured.transient.shape
     streams = streams_of(seed, first_laser + np.arange(lasers)[:, None], first_pixel + np.arange(pixels))
-    counts = np.empty((lasers * pixels, bins), kind)
+    counts = np.empty((lasers * pixels, bins // spad.bins_merged), kind)
     limit = np.iinfo(kind).max
     choices: list[Choices] = []
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
         chosen = _choose_block(measured, first, flux, tolerance, approximate)
-        drawn = _draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows])
+        drawn = _merged(_draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows]), spad)
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -107,7 +110,7 @@ def detect_and_choice(
             )
         counts[rows] = drawn
         choices.append(chosen)
-    return counts.reshape(np.shape(transient)), summarise(choices, spad, tolerance)
+    return counts.reshape(*np.shape(transient)[:-1], -1), summarise(choices, spad, tolerance)
 
 
 def expected_histogram(
@@ -129,7 +132,8 @@ def expected_histogram(
 
     Returns
     -------
-    float64, the shape of `transient`: counts, of all `exposure.cycles` together.
+    float64, the shape of `transient` (with `Spad.bins_merged` bins added up to one): counts, of all
+    `exposure.cycles` together.
 
     Raises
     ------
@@ -159,7 +163,14 @@ def expected_histogram(
         detections = np.stack([mean_detections(values, measured.cycle, spad) for values in flux])
         mean = measured.tdc.mean(exposure.cycles * detections)
         out[first : first + len(mean)] = _saturate_mean(mean, flux, measured, approximate)
-    return out.reshape(np.shape(transient))
+    return _merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
+
+
+def _merged(values: NDArray[N], spad: Spad) -> NDArray[N]:
+    """Values (…, bins) with each run of `Spad.bins_merged` bins added up to one."""
+    if spad.bins_merged == 1:
+        return values
+    return np.asarray(values.reshape(*values.shape[:-1], -1, spad.bins_merged).sum(axis=-1))
 
 
 def choose_sampler(

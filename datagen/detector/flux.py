@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.detector.irf import Kernel, response_kernel, spread
+from datagen.detector.irf import Kernel, measured_kernel, response_kernel, spread
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -80,7 +80,7 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
     Raises `InputError` for a gate that is not within the period and for bins longer than it.
     """
     width, bins, period = time.width_s, time.bins, exposure.period_s
-    pulse = response_kernel(width, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
+    pulse = photon_kernel(width, spad, exposure)
     jitter = response_kernel(width, spad.jitter_fwhm_s)
     # Light and records are displaced by so many bins: the window needs that margin on either side.
     after, before = pulse.after + jitter.before, pulse.before + jitter.after
@@ -113,6 +113,14 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
     gate = _gate(edges, time, spad, period)
     edges.flags.writeable = gate.flags.writeable = False
     return Cycle(period, width, edges, gate, front, back, min(bins, len(edges) - 1), bins, pulse, jitter)
+
+
+def photon_kernel(width_s: float, spad: Spad, exposure: Exposure) -> Kernel:
+    """The response to a photon before the avalanche, on bins of a width: laser pulse and carrier diffusion."""
+    tail = spad.jitter_tail_s, spad.jitter_tail_fraction
+    if exposure.pulse is None:
+        return response_kernel(width_s, exposure.pulse_fwhm_s, *tail)
+    return measured_kernel(width_s, exposure.pulse, *tail)
 
 
 def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, float] | None:

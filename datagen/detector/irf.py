@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -11,6 +12,7 @@ import scipy.special
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
+from datagen.detector.spad import Pulse
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
@@ -91,6 +93,29 @@ def response_kernel(width_s: float, fwhm_s: float, tail_s: float = 0.0, tail_fra
     # The result is cached and shared by later calls.
     weights.flags.writeable = False
     return Kernel(weights, before)
+
+
+@lru_cache(maxsize=4)
+def measured_kernel(width_s: float, pulse: Pulse, tail_s: float, tail_fraction: float) -> Kernel:
+    """The response to light at a bin's centre of a measured pulse and of carrier diffusion, renormalised to 1.
+
+    With F the running integral of the pulse, w_j = F((j + ½)Δ) − F((j − ½)Δ), as in `response_kernel`.
+    """
+    steps = pulse.start_s + pulse.width_s * np.arange(len(pulse.samples) + 1)
+    before = max(math.ceil(-steps[0] / width_s + 0.5), 0)
+    after = max(math.ceil(steps[-1] / width_s + 0.5), 0)
+    if before + after > LONGEST_KERNEL:
+        raise InputError(
+            f"Pulse of {pulse.width_s * len(pulse.samples):g} s from {pulse.start_s:g} s on bins of {width_s:g} s: "
+            f"longer than {LONGEST_KERNEL} bins; check the units of Pulse.width_s and start_s"
+        )
+    edges = (np.arange(-before, after + 2) - 0.5) * width_s
+    weights = np.diff(np.interp(edges, steps, np.append(0.0, np.cumsum(pulse.samples))))
+    diffusion = response_kernel(width_s, 0.0, tail_s, tail_fraction)
+    weights = spread(weights[None], diffusion)[0]
+    weights /= weights.sum()
+    weights.flags.writeable = False
+    return Kernel(weights, before + diffusion.before)
 
 
 def spread(values: Array, kernel: Kernel) -> Array:

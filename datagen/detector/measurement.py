@@ -54,6 +54,11 @@ class Measurement:
             check_integer("detect", name, value, 0, 2**62)
         values = _checked_transient(transient, time, exposure.photons_per_pulse)
         pixels = values.shape[1]
+        if time.bins % spad.bins_merged:
+            raise InputError(
+                f"Spad.bins_merged = {spad.bins_merged} with a time axis of {time.bins} bins: the bins must be a "
+                "multiple of it; change one of them"
+            )
         if _has_crosstalk(spad) and (first_pixel != 0 or pixels % (spad.array_columns or 1) != 0):
             raise InputError(
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from datagen.errors import InputError
-from datagen.records.checks import check_choice, check_flag, check_integer, check_number
+from datagen.records.checks import as_weights, check_choice, check_flag, check_integer, check_kind, check_number
 
 Mode = Literal["ideal", "synchronous", "free_running"]
 """`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
@@ -46,6 +46,8 @@ class Spad:
     crosstalk_probability : probability that an avalanche sets off one in a given nearest neighbour (up to four).
     array_columns : pixels in a row of the array (the pixel axis is row-major); None for one row, as in a line sensor.
     counter_max : count at which a bin's counter stays; None for counters that never saturate.
+    bins_merged : bins of the time axis that the sensor adds up to one bin of its histogram, ≥ 1; the time axis must
+        have a multiple of them. With more than one, light is known within a bin of the histogram.
     mode : see `Mode`; `ideal` counts every event, without dead time, afterpulsing or crosstalk.
 
     Examples
@@ -80,6 +82,7 @@ class Spad:
     crosstalk_probability: float = 0.0
     array_columns: int | None = None
     counter_max: int | None = None
+    bins_merged: int = 1
 
     def __post_init__(self) -> None:
         for name in ("afterpulse_times_s", "afterpulse_weights"):
@@ -104,6 +107,12 @@ class Spad:
         for name in ("array_columns", "counter_max"):
             if getattr(self, name) is not None:
                 check_integer("Spad", name, getattr(self, name), 1, 2**62)
+        check_integer("Spad", "bins_merged", self.bins_merged, 1, 2**20)
+        if self.bins_merged > 1 and self.counter_max is not None:
+            raise InputError(
+                f"Spad.bins_merged = {self.bins_merged} with counter_max = {self.counter_max}: merged counters that "
+                "saturate are not modelled; leave one out"
+            )
         check_choice("Spad.mode", self.mode, get_args(Mode))
         check_flag("Spad.paralyzable", self.paralyzable)
         if self.paralyzable and (self.afterpulse_probability > 0 or self.crosstalk_probability > 0):
@@ -152,6 +161,40 @@ class Spad:
 
 
 @dataclass(frozen=True)
+class Pulse:
+    """A laser pulse (or a whole timing response) as it was measured: its light in equal steps of time.
+
+    Attributes
+    ----------
+    samples : light in each step, ≥ 0, in any unit; their sum is scaled to 1.
+    width_s : seconds of a step, within which the light is even.
+    start_s : start of the first step, seconds after the moment that counts as emission (may be negative).
+
+    Raises
+    ------
+    InputError : no samples, samples that are negative, not finite or all 0, or a width that is not positive.
+
+    Examples
+    --------
+    >>> import datagen as dg
+    >>> dg.Pulse([1, 3, 1], width_s=50e-12, start_s=-75e-12).samples
+    (0.2, 0.6, 0.2)
+    """
+
+    samples: tuple[float, ...]
+    width_s: float
+    start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        values = as_weights("Pulse.samples", self.samples, (None,))
+        if values.sum() <= 0:
+            raise InputError("Pulse.samples: all are 0; give the light of the pulse in equal steps of time")
+        object.__setattr__(self, "samples", tuple((values / values.sum()).tolist()))
+        check_number("Pulse", "width_s", self.width_s, 1e-18, 1.0, "seconds; 50 ps is 50e-12")
+        check_number("Pulse", "start_s", self.start_s, -1.0, 1.0, "seconds; 50 ps is 50e-12")
+
+
+@dataclass(frozen=True)
 class Exposure:
     """The conditions of a measurement: its duration, the light, and the laser's pulses.
 
@@ -162,6 +205,7 @@ class Exposure:
     photons_per_pulse : photons that leave the laser in one pulse; signal per cycle = transient × photons_per_pulse.
     ambient_rate_hz : background photons per second at one pixel's aperture, before the PDE.
     pulse_fwhm_s : width of the Gaussian laser pulse; it displaces photons before the avalanche.
+    pulse : the laser pulse as it was measured, in place of a Gaussian one.
 
     Examples
     --------
@@ -177,6 +221,7 @@ class Exposure:
     photons_per_pulse: float = 1e9
     ambient_rate_hz: float = 0.0
     pulse_fwhm_s: float = 0.0
+    pulse: Pulse | None = None
 
     def __post_init__(self) -> None:
         check_number("Exposure", "repetition_rate_hz", self.repetition_rate_hz, 1e-3, 1e13, "pulses per second")
@@ -184,6 +229,13 @@ class Exposure:
         check_number("Exposure", "photons_per_pulse", self.photons_per_pulse, 0.0, 1e30, "photons")
         check_number("Exposure", "ambient_rate_hz", self.ambient_rate_hz, 0.0, 1e15, "photons per second")
         check_number("Exposure", "pulse_fwhm_s", self.pulse_fwhm_s, 0.0, 1.0, "seconds; 50 ps is 50e-12")
+        if self.pulse is not None:
+            check_kind("Exposure.pulse", self.pulse, Pulse)
+            if self.pulse_fwhm_s:
+                raise InputError(
+                    f"Exposure.pulse_fwhm_s = {self.pulse_fwhm_s:g} with a measured pulse: both state the pulse; "
+                    "leave one out"
+                )
 
     @property
     def period_s(self) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad
-from datagen.detector.flux import cycle_of, dark_count_rates
+from datagen.detector.flux import cycle_of, dark_count_rates, photon_kernel
 from datagen.detector.irf import response_kernel
 from datagen.detector.sampler_choice import avalanches_caused
 from datagen.effects.rule import Change, Effect
@@ -92,7 +92,7 @@ def _timing(given: Detection) -> Change:
     times more.
     """
     time, spad, exposure, transient = given.time, given.spad, given.exposure, given.transient
-    pulse = response_kernel(time.width_s, exposure.pulse_fwhm_s, spad.jitter_tail_s, spad.jitter_tail_fraction)
+    pulse = photon_kernel(time.width_s, spad, exposure)
     jitter = response_kernel(time.width_s, spad.jitter_fwhm_s)
     share = float(pulse.weights[pulse.before] * jitter.weights[jitter.before])
     moved = 2.0 * (1.0 - share)
@@ -151,9 +151,9 @@ DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
     Effect(
         "timing_response", "laser pulse and jitter (IRF)", "detector", "a pulse, tail or jitter of some width",
         "Young's inequality: ‖w * h − h‖ ≤ 2 (1 − w₀) ‖h‖ for the bin-integrated response w", 0.4,
-        lambda d: d.exposure.pulse_fwhm_s > 0 or d.spad.jitter_fwhm_s > 0
+        lambda d: d.exposure.pulse is not None or d.exposure.pulse_fwhm_s > 0 or d.spad.jitter_fwhm_s > 0
         or d.spad.jitter_tail_s * d.spad.jitter_tail_fraction > 0, _timing,
-        lambda d: d.with_spad(jitter_fwhm_s=0.0, jitter_tail_s=0.0).with_exposure(pulse_fwhm_s=0.0),
+        lambda d: d.with_spad(jitter_fwhm_s=0.0, jitter_tail_s=0.0).with_exposure(pulse_fwhm_s=0.0, pulse=None),
     ),
     Effect(
         "ambient_light", "ambient light", "detector", "`detector.ambient_rate_hz` > 0",

@@ -20,7 +20,7 @@ from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.flood import as_scan, one_bounce_of_beam, sum_of_flood, with_crosstalk
+from datagen.transport.flood import as_scan, at_sensor, one_bounce_of_beam, sum_of_flood
 from datagen.transport.path_tracing.averages import path_average
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.simulate import prepared
@@ -73,7 +73,7 @@ def light_in_sight(
         light[name] = sum_of_flood(own, capture) if flood else own
         if flood and capture.laser.cells is not None and accuracy.direct:
             first = first if len(first) else one_bounce_of_beam(scene, capture, caster, task.materials)[0]
-            light[name] += with_crosstalk(first[k][None], capture.sensor)
+            light[name] += at_sensor(first[k][None], capture)
     return light
 
 

@@ -14,13 +14,14 @@ from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import (
     as_points,
+    as_shaped,
     as_weights,
     check_choice,
     check_flag,
     check_integer,
     check_kind,
     check_number,
-)
+)  # fmt: skip
 
 Origin = Literal["source", "wall"]
 Pairing = Literal["exhaustive", "confocal"]
@@ -176,6 +177,8 @@ class Sensor:
     crosstalk : share of the light of all other pixels that each pixel receives as well, ≥ 0; for floods only.
     glass : (P,) photons that the sensor's cover glass sends straight back to each pixel at the moment of emission,
         per emitted photon, ≥ 0; part of the direct light of a flood. None: no glass.
+    delays_s : (P,) seconds by which all light of a pixel is recorded late (early if negative), from different lengths
+        of wire; for floods only. None: no delays.
 
     Raises
     ------
@@ -190,10 +193,12 @@ class Sensor:
     footprints: Floats | None
     crosstalk: float
     glass: Floats | None
+    delays_s: Floats | None
 
     def __init__(
         self, position: ArrayLike, pixels: ArrayLike, aperture_radius_m: float = 0.02, finite_aperture: bool = False,
         footprints: ArrayLike | None = None, crosstalk: float = 0.0, glass: ArrayLike | None = None,
+        delays_s: ArrayLike | None = None,
     ) -> None:  # fmt: skip
         object.__setattr__(self, "position", as_points("Sensor.position", position, (3,)))
         object.__setattr__(self, "pixels", as_points("Sensor.pixels", pixels, (None, 4, 3)))
@@ -214,6 +219,11 @@ class Sensor:
         object.__setattr__(self, "crosstalk", float(crosstalk))
         glass = None if glass is None else as_weights("Sensor.glass", glass, (len(self.pixels),))
         object.__setattr__(self, "glass", glass)
+        if delays_s is not None:
+            delays_s = as_shaped("Sensor.delays_s", delays_s, (len(self.pixels),))
+            if not (np.abs(delays_s) <= WIDEST_BIN_S).all():
+                raise InputError("Sensor.delays_s: holds delays above 1 ms or not finite; give seconds")
+        object.__setattr__(self, "delays_s", delays_s)
 
     def take(self, pixels: Ints | slice) -> Sensor:
         """The sensor with some of its pixels, by number."""
@@ -221,6 +231,7 @@ class Sensor:
             self.position, self.pixels[pixels], self.aperture_radius_m, self.finite_aperture,
             None if self.footprints is None else self.footprints[pixels], self.crosstalk,
             None if self.glass is None else self.glass[pixels],
+            None if self.delays_s is None else self.delays_s[pixels],
         )  # fmt: skip
 
     @classmethod
@@ -350,9 +361,10 @@ class Capture:
                 "Capture.illumination = 'flood' with pairing = 'confocal': a flood lights all points at once; "
                 "take pairing 'exhaustive'"
             )
-        if self.illumination == "scan" and (self.sensor.crosstalk > 0 or self.sensor.glass is not None):
+        whole = self.sensor.crosstalk > 0 or self.sensor.glass is not None or self.sensor.delays_s is not None
+        if self.illumination == "scan" and whole:
             raise InputError(
-                "Capture.illumination = 'scan' with Sensor.crosstalk or Sensor.glass: both are known for floods "
+                "Capture.illumination = 'scan' with Sensor.crosstalk, glass or delays_s: they are known for floods "
                 "only; leave them out, or take illumination 'flood'"
             )
         lasers, pixels = len(self.laser.targets), len(self.sensor.pixels)

@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from datagen.records import Capture, Laser, Scene, Sensor, Transient
+from datagen.records import Capture, Laser, Scene, Sensor, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable
@@ -51,13 +51,15 @@ def flooded(transient: Transient, capture: Capture, first: tuple[Floats, Floats]
     overflow = np.einsum("l,lp->p", shares, transient.overflow)[None]
     if first is not None:
         light, late = first
-        sensor, axis = capture.sensor, capture.time
-        components["direct"] = components["direct"] + with_crosstalk(light.sum(axis=0)[None], sensor)
+        components["direct"] = components["direct"] + at_sensor(light.sum(axis=0)[None], capture)
         overflow = overflow + late
         # Light from the cover glass arrives at the moment of emission.
+        sensor, axis = capture.sensor, capture.time
         at = math.floor(-axis.start_s / axis.width_s)
         if sensor.glass is not None and 0 <= at < axis.bins:
-            components["direct"][0, :, at] += sensor.glass
+            glass = np.zeros((1, len(sensor.glass), axis.bins))
+            glass[0, :, at] = sensor.glass
+            components["direct"] += delayed(glass, sensor, axis)
     variance = np.einsum("l,lpt->pt", shares**2, transient.stderr**2)[None]
     return replace(
         transient,
@@ -70,19 +72,40 @@ def flooded(transient: Transient, capture: Capture, first: tuple[Floats, Floats]
 
 def as_scan(capture: Capture) -> Capture:
     """The scan of a flood's laser points one by one, from which `flooded` makes the flood's transient."""
-    return replace(capture, illumination="scan", sensor=replace(capture.sensor, crosstalk=0.0, glass=None))
+    bare = replace(capture.sensor, crosstalk=0.0, glass=None, delays_s=None)
+    return replace(capture, illumination="scan", sensor=bare)
 
 
 def sum_of_flood(light: Floats, capture: Capture) -> Floats:
     """Light (1, P, T) of a whole flood, from the light (L, P, T) that each laser point would give with all of it."""
-    return with_crosstalk(np.einsum("l,lpt->pt", capture.laser.shares, light)[None], capture.sensor)
+    return at_sensor(np.einsum("l,lpt->pt", capture.laser.shares, light)[None], capture)
 
 
-def with_crosstalk(light: Floats, sensor: Sensor) -> Floats:
-    """Light (1, P, T) to which each pixel's share of the light of all others is added (`Sensor.crosstalk`)."""
-    if sensor.crosstalk == 0:
+def at_sensor(light: Floats, capture: Capture) -> Floats:
+    """Light (1, P, T) as the pixels record it: with the crosstalk of all others, and late by each pixel's delay."""
+    share = capture.sensor.crosstalk
+    if share > 0:
+        light = light + share * (light.sum(axis=1, keepdims=True) - light)
+    return delayed(light, capture.sensor, capture.time)
+
+
+def delayed(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
+    """Light (1, P, T) moved by each pixel's delay (`Sensor.delays_s`).
+
+    A delay between two whole bins shares the light between both, which keeps its mean time. Light that leaves the
+    window is lost.
+    """
+    if sensor.delays_s is None:
         return light
-    return np.asarray(light + sensor.crosstalk * (light.sum(axis=1, keepdims=True) - light))
+    out = np.zeros_like(light)
+    for p, bins in enumerate(sensor.delays_s / axis.width_s):
+        whole = math.floor(bins)
+        for shift, share in ((whole, 1 - (bins - whole)), (whole + 1, bins - whole)):
+            kept = axis.bins - abs(shift)
+            if kept > 0:
+                late, early = max(shift, 0), max(-shift, 0)
+                out[:, p, late : late + kept] += share * light[:, p, early : early + kept]
+    return out
 
 
 def beam_rays(laser: Laser) -> tuple[Floats, Floats]:
