@@ -37,9 +37,9 @@ def detect(
     """Counts after an exposure, the shape of `transient`.
 
     Laser pulse and carrier diffusion displace photons, gate and PDE thin them, and background joins them. The dead
-    time removes events; the TDC's jitter displaces the records of those that are left. Every histogram is drawn by
-    the cheapest sampler that is exact, or whose bias is at most `tolerance` and a tenth of a standard deviation (see
-    `choose_sampler`).
+    time removes events; the TDC's jitter displaces the records of those that are left, and its bins, equal or not,
+    count them. Every histogram is drawn by the cheapest sampler that is exact, or whose bias is at most `tolerance`
+    and a tenth of a standard deviation (see `choose_sampler`).
 
     Parameters
     ----------
@@ -199,15 +199,16 @@ def _draw_block(
     cycle, spad, tdc, cycles = measured.cycle, measured.spad, measured.tdc, measured.exposure.cycles
     _, pixels, n = flux.shape
     values = flux.reshape(-1, n)
-    out = np.empty((len(values), cycle.bins), np.int64)
+    out = np.empty((len(values), measured.light_cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
     if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
-        mean, numbers = tdc.mean(cycles * values[rows]), first_laser * pixels + rows
+        mean, numbers = tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
         out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
     if len(rows := np.flatnonzero(~poisson & choices.in_order)):
         own = streams[rows]
-        out[rows] = tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
+        detections = draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own)
+        out[rows] = tdc.draw(detections, own, rows % pixels)
     if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
         own = streams[rows]
         if measured.coupled:
@@ -219,7 +220,7 @@ def _draw_block(
         else:
             alone = zip(values[rows], choices.sampler[rows], own, strict=True)
             detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
-        out[rows] = tdc.draw(detections, own)
+        out[rows] = tdc.draw(detections, own, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.detector.flux import Cycle, cycle_of, flux_per_cycle
 from datagen.detector.spad import Exposure, Spad
 from datagen.detector.tdc import Tdc
+from datagen.detector.tdc_bins import PIECES, TdcBins, pieces_for
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import as_reals, check_integer, check_kind
@@ -30,12 +31,15 @@ class Measurement:
     ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     cycle, tdc : the laser period, and the converter of detections to records.
+    light_cycle, pieces : the laser period in the bins of the time axis; in `cycle` each is cut into `pieces`.
     first_laser, first_pixel : numbers of the first laser point and pixel.
     """
 
     transient: Array
     cycle: Cycle
     tdc: Tdc
+    light_cycle: Cycle
+    pieces: int
     spad: Spad
     exposure: Exposure
     first_laser: int = 0
@@ -44,9 +48,13 @@ class Measurement:
     @classmethod
     def of(
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int = 0,
-        first_pixel: int = 0,
+        first_pixel: int = 0, most_pieces: int = PIECES,
     ) -> Measurement:  # fmt: skip
-        """The measurement described by the arguments of a call; raises `InputError` where they are wrong."""
+        """The measurement described by the arguments of a call; raises `InputError` where they are wrong.
+
+        most_pieces : most pieces of a bin where the TDC's bins are unequal; with 1 detections count as uniform in
+            each bin of the time axis.
+        """
         check_kind("time", time, TimeAxis)
         check_kind("spad", spad, Spad)
         check_kind("exposure", exposure, Exposure)
@@ -59,8 +67,14 @@ class Measurement:
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
             )
-        cycle = cycle_of(time, spad, exposure)
-        return cls(values, cycle, Tdc(cycle), spad, exposure, first_laser, first_pixel)
+        cycle = light_cycle = cycle_of(time, spad, exposure)
+        unequal, pieces = None, 1
+        if not spad.tdc_bins_are_equal:
+            pieces = min(pieces_for(cycle, spad), most_pieces)
+            unequal = TdcBins.of(cycle, pieces, spad, pixels, first_pixel)
+            cycle = cycle if pieces == 1 else cycle.cut(pieces)
+        tdc = Tdc(light_cycle, unequal)
+        return cls(values, cycle, tdc, light_cycle, pieces, spad, exposure, first_laser, first_pixel)
 
     @property
     def coupled(self) -> bool:
@@ -78,7 +92,11 @@ class Measurement:
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
-            yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
+            flux = flux_per_cycle(block, self.light_cycle, self.spad, self.exposure, self.first_pixel)
+            if self.pieces > 1:
+                parts = self.light_cycle.parts(self.pieces)
+                flux = np.repeat(flux / parts, parts, axis=2)
+            yield start, flux
 
 
 def _has_crosstalk(spad: Spad) -> bool:

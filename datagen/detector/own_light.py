@@ -60,7 +60,8 @@ def own_light(
 
     Raises `InputError` for a transient or a gate that `detect` refuses, and lights of another shape.
     """
-    measured = Measurement.of(transient, time, spad, exposure)
+    # A figure of significance needs no pieces of bins.
+    measured = Measurement.of(transient, time, spad, exposure, most_pieces=1)
     for light in lights:
         if light.shape != measured.transient.shape:
             raise InputError(
