@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.detector.flux import Cycle, cycle_of, flux_per_cycle
 from datagen.detector.spad import Exposure, Spad
 from datagen.detector.tdc import Tdc
-from datagen.detector.tdc_bins import PIECES, TdcBins, pieces_for
+from datagen.detector.tdc_bins import TdcBins, pieces_for
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import as_reals, check_integer, check_kind
@@ -31,15 +32,12 @@ class Measurement:
     ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     cycle, tdc : the laser period, and the converter of detections to records.
-    light_cycle, pieces : the laser period in the bins of the time axis; in `cycle` each is cut into `pieces`.
     first_laser, first_pixel : numbers of the first laser point and pixel.
     """
 
     transient: Array
     cycle: Cycle
     tdc: Tdc
-    light_cycle: Cycle
-    pieces: int
     spad: Spad
     exposure: Exposure
     first_laser: int = 0
@@ -48,13 +46,9 @@ class Measurement:
     @classmethod
     def of(
         cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int = 0,
-        first_pixel: int = 0, most_pieces: int = PIECES,
+        first_pixel: int = 0,
     ) -> Measurement:  # fmt: skip
-        """The measurement described by the arguments of a call; raises `InputError` where they are wrong.
-
-        most_pieces : most pieces of a bin where the TDC's bins are unequal; with 1 detections count as uniform in
-            each bin of the time axis.
-        """
+        """The measurement described by the arguments of a call; raises `InputError` where they are wrong."""
         check_kind("time", time, TimeAxis)
         check_kind("spad", spad, Spad)
         check_kind("exposure", exposure, Exposure)
@@ -67,14 +61,27 @@ class Measurement:
                 f"crosstalk_probability = {spad.crosstalk_probability:g}, array_columns = {spad.array_columns}, with "
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
             )
-        cycle = light_cycle = cycle_of(time, spad, exposure)
-        unequal, pieces = None, 1
-        if not spad.tdc_bins_are_equal:
-            pieces = min(pieces_for(cycle, spad), most_pieces)
-            unequal = TdcBins.of(cycle, pieces, spad, pixels, first_pixel)
-            cycle = cycle if pieces == 1 else cycle.cut(pieces)
-        tdc = Tdc(light_cycle, unequal)
-        return cls(values, cycle, tdc, light_cycle, pieces, spad, exposure, first_laser, first_pixel)
+        cycle = cycle_of(time, spad, exposure)
+        unequal = None if spad.tdc_bins_are_equal else TdcBins.of(cycle, 1, spad, pixels, first_pixel)
+        return cls(values, cycle, Tdc(cycle, unequal), spad, exposure, first_laser, first_pixel)
+
+    @cached_property
+    def finer(self) -> tuple[Cycle, Tdc]:
+        """`cycle` and `tdc` for detections that depend on one another: with bins cut into pieces where the place of
+        such a detection within its bin matters, otherwise as they are."""
+        pieces = pieces_for(self.cycle, self.spad)
+        if pieces == 1:
+            return self.cycle, self.tdc
+        unequal = TdcBins.of(self.cycle, pieces, self.spad, self.transient.shape[1], self.first_pixel)
+        return self.cycle.cut(pieces), Tdc(self.cycle, unequal)
+
+    def in_finer(self, flux: Array) -> Array:
+        """(…, m) flux in the bins of `finer`, from flux (…, n)."""
+        pieces = pieces_for(self.cycle, self.spad)
+        if pieces == 1:
+            return flux
+        parts = self.cycle.parts(pieces)
+        return np.repeat(flux / parts, parts, axis=-1)
 
     @property
     def coupled(self) -> bool:
@@ -92,11 +99,7 @@ class Measurement:
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
-            flux = flux_per_cycle(block, self.light_cycle, self.spad, self.exposure, self.first_pixel)
-            if self.pieces > 1:
-                parts = self.light_cycle.parts(self.pieces)
-                flux = np.repeat(flux / parts, parts, axis=2)
-            yield start, flux
+            yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
 
 
 def _has_crosstalk(spad: Spad) -> bool:

@@ -60,8 +60,7 @@ def own_light(
 
     Raises `InputError` for a transient or a gate that `detect` refuses, and lights of another shape.
     """
-    # A figure of significance needs no pieces of bins.
-    measured = Measurement.of(transient, time, spad, exposure, most_pieces=1)
+    measured = Measurement.of(transient, time, spad, exposure)
     for light in lights:
         if light.shape != measured.transient.shape:
             raise InputError(

@@ -42,7 +42,9 @@ def pieces_for(cycle: Cycle, spad: Spad) -> int:
     """Number of pieces into which the bins of the time axis are cut before records are sorted; 1 if they are not."""
     has_memory = spad.dead_time_s > 0 and spad.mode != "ideal"
     jitter = cycle.after_avalanche
-    return PIECES if has_memory and jitter.weights[jitter.before] > _STEADY else 1
+    if spad.tdc_bins_are_equal or not has_memory:
+        return 1
+    return PIECES if jitter.weights[jitter.before] > _STEADY else 1
 
 
 @lru_cache(maxsize=8)
