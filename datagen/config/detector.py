@@ -79,6 +79,11 @@ class DetectorConfig(Settings):
     """Share of pixels with far more dark counts. Left out: none."""
     hot_pixel_factor: Annotated[Distribution, within(1)] | None = None
     """Dark counts of a hot pixel over those of the others. Left out: 100."""
+    tdc_dnl: Annotated[Distribution, within(0, 2)] | None = None
+    """Differential nonlinearity: how much the widths of the TDC's bins scatter, over their mean; 0.9 for an FPGA.
+    Left out: all bins are equal."""
+    tdc_period_bins: Annotated[int, Field(ge=8, le=65536)] = 140
+    """Bins after which the widths repeat."""
     gate: GateConfig | None = None
     """Left out: always on."""
     repetition_rate_mhz: Annotated[Distribution, within(0, open_low=True)] | None = None

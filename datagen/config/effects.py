@@ -65,6 +65,8 @@ class EffectsConfig(Settings):
     """Avalanches set off by neighbouring pixels."""
     gate: Switch = "auto"
     """The detector's sensitivity in time; left out, it is always on."""
+    tdc_nonlinearity: Switch = "auto"
+    """Unequal widths of the TDC's bins (`detector.tdc_dnl`)."""
     tdc_saturation: Switch = "auto"
     """Counters that stay at `detector.counter_max`."""
 

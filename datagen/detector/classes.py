@@ -125,7 +125,7 @@ _PARAMETERS: dict[str, tuple[str, float, float]] = {
     "afterpulse_time_s": ("afterpulse_time_ns", 1e-9, 50e-9),
     "crosstalk_probability": ("crosstalk_probability", 1.0, 0.0),
     "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0), "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
-    "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6),
+    "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6), "tdc_dnl": ("tdc_dnl", 1.0, 0.0),
 }  # fmt: skip
 """Parameter in SI units → key of the configuration, unit of the key, and default value where neither configuration
 nor class gives one: that of a silicon SPAD in a laboratory."""
@@ -175,6 +175,7 @@ def detector_for(
     spad = Spad(
         afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
         hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
+        tdc_period_bins=config.tdc_period_bins, tdc_seed=int(rng.integers(2**62)) if values["tdc_dnl"] > 0 else 0,
         **values,
     )  # fmt: skip
     return spad, exposure

@@ -40,9 +40,9 @@ def detect(
     """Counts after an exposure, the shape of `transient` (with `Spad.bins_merged` bins added up to one).
 
     Laser pulse and carrier diffusion displace photons, gate and PDE thin them, and background joins them. The dead
-    time removes events; the TDC's jitter displaces the records of those that are left. Every histogram is drawn by
-    the cheapest sampler that is exact, or whose bias is at most `tolerance` and a tenth of a standard deviation (see
-    `choose_sampler`).
+    time removes events; the TDC's jitter displaces the records of those that are left, and its bins, equal or not,
+    count them. Every histogram is drawn by the cheapest sampler that is exact, or whose bias is at most `tolerance`
+    and a tenth of a standard deviation (see `choose_sampler`).
 
     Parameters
     ----------
@@ -160,8 +160,9 @@ def expected_histogram(
         )
     out = np.empty(measured.transient.shape)
     for first, flux in measured.fluxes():
-        detections = np.stack([mean_detections(values, measured.cycle, spad) for values in flux])
-        mean = measured.tdc.mean(exposure.cycles * detections)
+        cycle, tdc = measured.finer
+        detections = np.stack([mean_detections(values, cycle, spad) for values in measured.in_finer(flux)])
+        mean = tdc.mean(exposure.cycles * detections)
         out[first : first + len(mean)] = _saturate_mean(mean, flux, measured, approximate)
     return _merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
 
@@ -207,36 +208,37 @@ def _draw_block(
     measured: Measurement, first_laser: int, flux: Array, choices: Choices, streams: Stream
 ) -> NDArray[np.int64]:
     """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
-    cycle, spad, tdc, cycles = measured.cycle, measured.spad, measured.tdc, measured.exposure.cycles
+    spad, cycles = measured.spad, measured.exposure.cycles
     _, pixels, n = flux.shape
     values = flux.reshape(-1, n)
-    out = np.empty((len(values), cycle.bins), np.int64)
+    out = np.empty((len(values), measured.cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
     if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
-        mean, numbers = tdc.mean(cycles * values[rows]), first_laser * pixels + rows
+        mean, numbers = measured.tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
         out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
     if len(rows := np.flatnonzero(~poisson & choices.in_order)):
-        own = streams[rows]
-        out[rows] = tdc.draw(draw_in_order(values[rows], cycle.edges_s, spad.dead_time_s, cycles, own), own)
+        own, (cycle, tdc) = streams[rows], measured.finer
+        detections = draw_in_order(measured.in_finer(values[rows]), cycle.edges_s, spad.dead_time_s, cycles, own)
+        out[rows] = tdc.draw(detections, own, rows % pixels)
     if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
-        own = streams[rows]
+        own, (cycle, tdc), finer = streams[rows], measured.finer, measured.in_finer(values[rows])
         if measured.coupled:
             # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to
             # draw that pixel's jitter.
             each = [slice(k, k + pixels) for k in range(0, len(own), pixels)]
-            joint = [draw_avalanches(values[rows][k], cycle, spad, cycles, own[k.start]) for k in each]
+            joint = [draw_avalanches(finer[k], cycle, spad, cycles, own[k.start]) for k in each]
             detections = np.concatenate(joint)
         else:
-            alone = zip(values[rows], choices.sampler[rows], own, strict=True)
+            alone = zip(finer, choices.sampler[rows], own, strict=True)
             detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
-        out[rows] = tdc.draw(detections, own)
+        out[rows] = tdc.draw(detections, own, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
 def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
-    """(n,) detections of one pixel of flux (n,), by a sampler other than Poisson's."""
-    cycle, spad, cycles = measured.cycle, measured.spad, measured.exposure.cycles
+    """(m,) detections of one pixel of flux (m,) in `measured.finer`, by a sampler other than Poisson's."""
+    cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
     bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
     match sampler:
         case Sampler.HAZARD_CHAIN:

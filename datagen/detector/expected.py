@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector.dead_time import equilibrium, synchronous_mean
-from datagen.detector.flux import Cycle
+from datagen.detector.flux import Cycle, cut_edges
 from datagen.detector.spad import Spad
 
 Array = NDArray[np.float64]
@@ -65,10 +65,8 @@ def _with_short_bins(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.
     """
     parts = np.ceil(cycle.widths_s / max(longest_s, cycle.width_s) * (1.0 - 1e-6))
     parts = np.clip(parts, 1, _MOST_PIECES).astype(np.int64)
-    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    starts = np.repeat(cycle.edges_s[:-1], parts) + number * np.repeat(cycle.widths_s / parts, parts)
-    edges = np.append(starts, cycle.period_s)
-    return replace(cycle, edges_s=edges, gate=np.repeat(cycle.gate, parts), front=len(number)), parts
+    edges = cut_edges(cycle.edges_s, parts)
+    return replace(cycle, edges_s=edges, gate=np.repeat(cycle.gate, parts), front=len(edges) - 1), parts
 
 
 def _self_consistent(
@@ -105,11 +103,13 @@ def counts_are_poisson(spad: Spad, pixels: int) -> bool:
 def counts_are_binomial(flux: Array, cycle: Cycle, spad: Spad, pixels: int) -> bool:
     """Whether each bin counts a cycle at most once and cycles are independent, for flux (…, n).
 
-    This holds where the dead time leaves one detection a cycle, or one a bin and no jitter moves its record.
+    This holds where the dead time leaves one detection a cycle, or one a bin, all bins being equal, and no jitter
+    moves its record.
     """
     if spad.mode != "synchronous" or _is_coupled(spad, pixels):
         return False
-    once_a_bin = cycle.after_avalanche.is_identity and spad.dead_time_s >= cycle.width_s * (1 - 1e-9)
+    once_a_bin = spad.tdc_bins_are_equal and spad.dead_time_s >= cycle.width_s * (1 - 1e-9)
+    once_a_bin = once_a_bin and cycle.after_avalanche.is_identity
     return once_a_bin or bool((spad.dead_time_s >= active_span(flux, cycle)).all())
 
 

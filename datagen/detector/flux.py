@@ -8,7 +8,7 @@ window, where there is only background, they are merged into long bins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TypeVar
 
@@ -60,6 +60,27 @@ class Cycle:
     def widths_s(self) -> Array:
         """(n,) bin widths in seconds."""
         return np.diff(self.edges_s)
+
+    @cached_property
+    def has_short_bin(self) -> bool:
+        """Whether a period that is no whole number of bins ends in a shorter one."""
+        return self.front == len(self.gate) and float(self.widths_s[-1]) < self.width_s * (1 - 1e-6)
+
+    def parts(self, pieces: int) -> NDArray[np.int64]:
+        """(n,) number of pieces of each bin if those of full width on the lattice are cut into `pieces`."""
+        parts = np.ones(len(self.gate), np.int64)
+        parts[: self.front - self.has_short_bin] = pieces
+        parts[len(parts) - self.back :] = pieces
+        return parts
+
+    def cut(self, pieces: int) -> Cycle:
+        """The cycle with the bins of the lattice cut into `pieces` equal bins."""
+        parts = self.parts(pieces)
+        return replace(
+            self, width_s=self.width_s / pieces, edges_s=cut_edges(self.edges_s, parts),
+            gate=np.repeat(self.gate, parts), front=int(parts[: self.front].sum()), back=self.back * pieces,
+            window=int(parts[: self.window].sum()), bins=self.bins * pieces,
+        )  # fmt: skip
 
     @cached_property
     def light_fold(self) -> Fold:
@@ -197,6 +218,13 @@ class Fold:
         return out
 
 
+def cut_edges(edges_s: Array, parts: NDArray[np.int64]) -> Array:
+    """(m + 1,) edges of bins with edges (n + 1,) once bin i is cut into `parts[i]` equal bins."""
+    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    starts = np.repeat(edges_s[:-1], parts) + number * np.repeat(np.diff(edges_s) / parts, parts)
+    return np.append(starts, edges_s[-1])
+
+
 def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
     """(…, back + front) values of the last `back` bins of the period, then of its first `front`, from (…, n)."""
     n = values.shape[-1]
@@ -264,8 +292,14 @@ def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
 
 def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool_]:
     """(pixels,) whether a pixel is hot: a property of the array, the same for every laser point and block."""
-    # A counter-based generator gives each pixel its own word, so that a block needs no words of other pixels.
-    key = np.random.SeedSequence(spad.hot_pixel_seed).generate_state(2, np.uint64)
-    bits = np.random.Philox(key=key, counter=first_pixel // 4)
-    words = bits.random_raw(pixels + first_pixel % 4)[first_pixel % 4 :]
-    return (words >> np.uint64(11)) * 2.0**-53 < spad.hot_pixel_fraction
+    return uniform_of_pixels(spad.hot_pixel_seed, 1, pixels, first_pixel)[:, 0] < spad.hot_pixel_fraction
+
+
+def uniform_of_pixels(seed: int, numbers: int, pixels: int, first_pixel: int) -> Array:
+    """(pixels, numbers) uniform numbers in 0 … 1 that belong to the pixels from number `first_pixel` on."""
+    # A counter-based generator gives each pixel its own words, so that a block needs no words of other pixels.
+    key = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+    first, count = first_pixel * numbers, pixels * numbers
+    bits = np.random.Philox(key=key, counter=first // 4)
+    words = bits.random_raw(count + first % 4)[first % 4 :]
+    return np.asarray((words >> np.uint64(11)) * 2.0**-53, np.float64).reshape(pixels, numbers)

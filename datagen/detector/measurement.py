@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.detector.flux import Cycle, cycle_of, flux_per_cycle
 from datagen.detector.spad import Exposure, Spad
 from datagen.detector.tdc import Tdc
+from datagen.detector.tdc_bins import TdcBins, pieces_for
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import as_reals, check_integer, check_kind
@@ -65,7 +67,26 @@ class Measurement:
                 f"{pixels} pixels from number {first_pixel}: crosstalk needs whole rows of all pixels from number 0"
             )
         cycle = cycle_of(time, spad, exposure)
-        return cls(values, cycle, Tdc(cycle), spad, exposure, first_laser, first_pixel)
+        unequal = None if spad.tdc_bins_are_equal else TdcBins.of(cycle, 1, spad, pixels, first_pixel)
+        return cls(values, cycle, Tdc(cycle, unequal), spad, exposure, first_laser, first_pixel)
+
+    @cached_property
+    def finer(self) -> tuple[Cycle, Tdc]:
+        """`cycle` and `tdc` for detections that depend on one another: with bins cut into pieces where the place of
+        such a detection within its bin matters, otherwise as they are."""
+        pieces = pieces_for(self.cycle, self.spad)
+        if pieces == 1:
+            return self.cycle, self.tdc
+        unequal = TdcBins.of(self.cycle, pieces, self.spad, self.transient.shape[1], self.first_pixel)
+        return self.cycle.cut(pieces), Tdc(self.cycle, unequal)
+
+    def in_finer(self, flux: Array) -> Array:
+        """(…, m) flux in the bins of `finer`, from flux (…, n)."""
+        pieces = pieces_for(self.cycle, self.spad)
+        if pieces == 1:
+            return flux
+        parts = self.cycle.parts(pieces)
+        return np.repeat(flux / parts, parts, axis=-1)
 
     @property
     def coupled(self) -> bool:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
-from datagen.records.checks import as_weights, check_choice, check_flag, check_integer, check_kind, check_number
+from datagen.records.checks import (
+    as_reals,
+    as_weights,
+    check_choice,
+    check_flag,
+    check_integer,
+    check_kind,
+    check_number,
+)  # fmt: skip
 
 Mode = Literal["ideal", "synchronous", "free_running"]
 """`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
@@ -16,6 +25,11 @@ Mode = Literal["ideal", "synchronous", "free_running"]
 
 MAX_CYCLES = 2**53
 """Most laser cycles of an exposure: float64 holds no larger numbers exactly. Halved, long exposures are refused."""
+
+
+TDC_PERIOD_ACCURACY = 1e-6
+"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables. Halved,
+tables with six digits are refused."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +60,14 @@ class Spad:
     crosstalk_probability : probability that an avalanche sets off one in a given nearest neighbour (up to four).
     array_columns : pixels in a row of the array (the pixel axis is row-major); None for one row, as in a line sensor.
     counter_max : count at which a bin's counter stays; None for counters that never saturate.
+    tdc_dnl : differential nonlinearity of the TDC: standard deviation of the widths of its bins over their mean,
+        0 … 2; 0 for equal bins. Widths are gamma-distributed, different in each pixel, and add up to a period.
+    tdc_period_bins : number of bins after which the widths repeat, as those of a fine TDC do at each tick of the
+        clock; 8 … 65536. The first period starts with the time axis, to whose start the clock is locked.
+    tdc_seed : seed that decides the widths of each pixel's bins; ≥ 0.
+    tdc_edges_s : in place of `tdc_dnl`: measured edges of the bins of one period, ascending from 0 to the number of
+        bins × the width of the time axis's bins; (pixel, edge), or (edge,) for all pixels alike. Equal neighbours
+        are the edges of a bin that records nothing.
     bins_merged : bins of the time axis that the sensor adds up to one bin of its histogram, ≥ 1; the time axis must
         have a multiple of them. With more than one, light is known within a bin of the histogram.
     mode : see `Mode`; `ideal` counts every event, without dead time, afterpulsing or crosstalk.
@@ -82,6 +104,11 @@ class Spad:
     crosstalk_probability: float = 0.0
     array_columns: int | None = None
     counter_max: int | None = None
+    tdc_dnl: float = 0.0
+    tdc_period_bins: int = 140
+    tdc_seed: int = 0
+    # Without its thousands of numbers a hash takes a microsecond.
+    tdc_edges_s: tuple[tuple[float, ...], ...] | None = field(default=None, hash=False)
     bins_merged: int = 1
 
     def __post_init__(self) -> None:
@@ -101,9 +128,12 @@ class Spad:
             ("hot_pixel_fraction", 0.0, 1.0, "it is a share of the pixels"),
             ("hot_pixel_factor", 1.0, 1e9, "a hot pixel has more dark counts than others"),
             ("crosstalk_probability", 0.0, 0.2, "per neighbour; above it avalanches would run away"),
+            ("tdc_dnl", 0.0, 2.0, "0.9 for widths that scatter by 90 % of their mean, 0 for equal ones"),
         ):
             check_number("Spad", name, getattr(self, name), low, high, remedy)
-        check_integer("Spad", "hot_pixel_seed", self.hot_pixel_seed, 0, 2**63 - 1)
+        for name in ("hot_pixel_seed", "tdc_seed"):
+            check_integer("Spad", name, getattr(self, name), 0, 2**63 - 1)
+        check_integer("Spad", "tdc_period_bins", self.tdc_period_bins, 8, 65536)
         for name in ("array_columns", "counter_max"):
             if getattr(self, name) is not None:
                 check_integer("Spad", name, getattr(self, name), 1, 2**62)
@@ -122,6 +152,8 @@ class Spad:
             )
         self._check_traps()
         self._check_gate()
+        if self.tdc_edges_s is not None:
+            self._check_tdc_edges(self.tdc_edges_s)
 
     def _check_traps(self) -> None:
         times, weights = self.afterpulse_times_s, self.afterpulse_weights
@@ -152,6 +184,37 @@ class Spad:
                 f"Spad.gate_rise_s = {self.gate_rise_s:g}: must be at most half of gate_width_s = {width:g}; "
                 "rise and fall lie within the gate"
             )
+
+    def _check_tdc_edges(self, given: ArrayLike) -> None:
+        if self.tdc_dnl > 0:
+            raise InputError(
+                f"Spad.tdc_dnl = {self.tdc_dnl:g} with tdc_edges_s: both set the widths of bins; leave one out"
+            )
+        edges = as_reals("Spad.tdc_edges_s", given)
+        if edges.ndim not in (1, 2) or edges.shape[-1] < 2 or edges.size == 0:
+            raise InputError(
+                f"Spad.tdc_edges_s: shape {edges.shape} given; (pixel, edge) or (edge,) is needed, with one edge "
+                "more than the period has bins"
+            )
+        edges = np.atleast_2d(edges)
+        lengths = edges[:, -1]
+        with np.errstate(invalid="ignore"):
+            wrong = ~(np.isfinite(edges).all(axis=1) & (edges[:, 0] == 0) & (np.diff(edges) >= 0).all(axis=1))
+            wrong |= ~((lengths > 0) & (np.abs(lengths - lengths[0]) <= TDC_PERIOD_ACCURACY * lengths[0]))
+        if wrong.any():
+            pixel = int(wrong.argmax())
+            first, second, last = edges[pixel][[0, 1, -1]]
+            raise InputError(
+                f"Spad.tdc_edges_s[{pixel}] = ({first:g}, {second:g}, …, {last:g}): edges in seconds must start at "
+                "0 and never descend, and those of all pixels must end at the same time; correct them "
+                f"({wrong.sum()} such pixels)"
+            )
+        object.__setattr__(self, "tdc_edges_s", tuple(tuple(row) for row in edges.tolist()))
+
+    @property
+    def tdc_bins_are_equal(self) -> bool:
+        """Whether all bins of the TDC have the width of the time axis's bins."""
+        return self.tdc_dnl == 0 and self.tdc_edges_s is None
 
     @property
     def trap_loads(self) -> tuple[float, ...]:

@@ -9,6 +9,7 @@ from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice
 from datagen.detector.irf import spread
 from datagen.detector.random_numbers import Stream, binomial, uniform
+from datagen.detector.tdc_bins import TdcBins
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -19,19 +20,18 @@ class Tdc:
 
     A detection in bin i is recorded in bin i + k with the probability that the bin-integrated jitter gives to k. A
     record that is displaced beyond an end of the period appears at its other end; records outside the window are
-    lost.
+    lost. Where the bins of the TDC are not equal (`unequal`), records are sorted into these in the end.
     """
 
-    def __init__(self, cycle: Cycle) -> None:
-        self._cycle = cycle
+    def __init__(self, cycle: Cycle, unequal: TdcBins | None = None) -> None:
+        self._cycle, self._unequal = cycle, unequal
+        self._pieces = 1 if unequal is None else unequal.pieces
         jitter = cycle.after_avalanche
-        merged = cycle.front < len(cycle.gate)
         lattice = cycle.back + cycle.front
         # A period that is no whole number of bins ends in a shorter one. Its own records are displaced like a moment
         # in its middle. Records of full bins that are displaced into it are split by the fold.
-        short = not merged and float(cycle.widths_s[-1]) < cycle.width_s * (1 - 1e-6)
         self._from_short: Counts | None = None
-        if short and not jitter.is_identity:
+        if cycle.has_short_bin and not jitter.is_identity:
             steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
             last = np.searchsorted(cycle.edges_s, moments, side="right") - 1
@@ -42,7 +42,7 @@ class Tdc:
         # Displacements are drawn from the likeliest on, so that few records are left for the long wings.
         self._offsets = np.argsort(-jitter.weights, kind="stable")
         self._likeliest = jitter.weights[self._offsets]
-        if merged:
+        if cycle.front < len(cycle.gate):
             # The background between the ends of the lattice is so long that records never wrap around the period.
             nothing = np.empty(0, np.int64)
             self._fold = Fold(first, cycle.bins, range(cycle.bins), nothing, nothing, np.empty(0))
@@ -51,8 +51,57 @@ class Tdc:
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
         self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
-    def mean(self, detections: Array) -> Array:
-        """(…, bins) expected records of expected detections (…, n) in the bins of the period."""
+    def mean(self, detections: Array, pixels: NDArray[np.int64] | None = None) -> Array:
+        """(…, bins) expected records of expected detections (…, n) in the bins of the period, or in their pieces if
+        the unequal bins ask for these.
+
+        pixels : (…,) number of each row's pixel in the measurement, on which unequal bins depend; left out, the
+            second last axis is that of all pixels.
+        """
+        if self._unequal is None:
+            return self._mean_in_equal_bins(detections)
+        records = [self._mean_in_equal_bins(part) for part in self._by_piece(detections)]
+        return self._unequal.mean(self._joined(records), pixels)
+
+    def draw(self, detections: Counts, streams: Stream, pixels: NDArray[np.int64] | None = None) -> Counts:
+        """(…, bins) records of detections (…, n): a multinomial number for each bin, from streams (…, 4); `pixels` as
+        of `mean`."""
+        if self._unequal is None:
+            return self._draw_in_equal_bins(detections, streams)
+        records = [self._draw_in_equal_bins(part, streams) for part in self._by_piece(detections)]
+        return self._unequal.draw(self._joined(records), streams, pixels)
+
+    def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
+        """For each piece of a bin the (…, n) detections in that piece of every bin. Bins that are not cut count as
+        the middle piece."""
+        if self._pieces == 1:
+            return [detections]
+        parts = self._cycle.parts(self._pieces)
+        starts, whole = np.cumsum(parts) - parts, parts == 1
+        out = []
+        for piece in range(self._pieces):
+            chosen = detections[..., starts + np.where(whole, 0, piece)]
+            if piece != self._pieces // 2:
+                chosen[..., whole] = 0
+            out.append(chosen)
+        return out
+
+    def _joined(self, records: list[NDArray[N]]) -> NDArray[N]:
+        """(…, m) records in the pieces of the window's bins, in order of time, from those of each piece (…, bins).
+
+        A record is displaced by whole bins and stays in its piece.
+        """
+        if self._pieces == 1:
+            return records[0]
+        window = self._cycle.window
+        joined = np.stack([part[..., :window] for part in records], axis=-1).reshape(*records[0].shape[:-1], -1)
+        if self._cycle.has_short_bin and window == len(self._cycle.gate):
+            first = (window - 1) * self._pieces
+            joined[..., first] = joined[..., first:].sum(axis=-1)
+        return joined
+
+    def _mean_in_equal_bins(self, detections: Array) -> Array:
+        """(…, bins) expected records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         if jitter.is_identity:
             folded = detections
@@ -68,8 +117,8 @@ class Tdc:
         out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
-    def draw(self, detections: Counts, streams: Stream) -> Counts:
-        """(…, bins) records of detections (…, n): a multinomial number for each bin, from streams (…, 4)."""
+    def _draw_in_equal_bins(self, detections: Counts, streams: Stream) -> Counts:
+        """(…, bins) records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         out = np.zeros((*detections.shape[:-1], cycle.bins), np.int64)
         if jitter.is_identity:

@@ -1,9 +1,10 @@
 """The detector's rows of the table of effects.
 
-Only leaving out the timing response saves time, a third to two thirds of a detection. Background, gate and counters
-are one addend, factor or comparison a bin. For dead time, afterpulsing and crosstalk the choice of the sampler
-(`detector/sampler_choice.py`) decides histogram by histogram: where they do not matter, counts are drawn as Poisson
-numbers, at the cost of a detector without these effects.
+Leaving out the timing response saves a third to two thirds of a detection, leaving out unequal bins of the TDC a
+tenth to two fifths. All else saves nothing: background, gate and counters are one addend, factor or comparison a bin.
+For dead time, afterpulsing and crosstalk the choice of the sampler (`detector/sampler_choice.py`) decides histogram
+by histogram: where they do not matter, counts are drawn as Poisson numbers, at the cost of a detector without these
+effects.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates, photon_kernel
 from datagen.detector.irf import response_kernel
 from datagen.detector.sampler_choice import avalanches_caused
+from datagen.detector.tdc_bins import TdcBins, pieces_for
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 
@@ -75,6 +77,50 @@ class Detection:
         return self.spad.mode == "free_running" and not self.spad.paralyzable and self.whole_periods > 0
 
     @property
+    def photons(self) -> float:
+        """Detections per cycle for each photon at the aperture per emitted photon, without losses."""
+        return self.spad.pde * self.exposure.photons_per_pulse
+
+    @property
+    def background_hz(self) -> NDArray[np.float64]:
+        """(pixel,) rate of events by ambient light and dark counts."""
+        ambient_hz = self.spad.pde * self.exposure.ambient_rate_hz
+        return ambient_hz + dark_count_rates(self.spad, self.transient.shape[1])
+
+    @property
+    def exceeds_period(self) -> bool:
+        """Whether the time axis is longer than the laser period, so that light is folded."""
+        return not self.counts_all and self.time.bins * self.time.width_s > self.exposure.period_s * (1 + 1e-9)
+
+    @property
+    def unequal_bins(self) -> TdcBins | None:
+        """The bins of the TDC, for records in whole bins of the time axis; None if they are equal."""
+        if self.spad.tdc_bins_are_equal:
+            return None
+        cycle = cycle_of(self.time, self.spad, self.exposure)
+        return TdcBins.of(cycle, 1, self.spad, self.transient.shape[1])
+
+    @property
+    def dead_periods(self) -> float:
+        """The most laser periods of light whose events, caused ones included, a dead time can meet."""
+        return (1.0 if self.spad.mode == "synchronous" else self.whole_periods + 1.0) * (1.0 + self.caused)
+
+    def events_per_cycle(self, light: float) -> float:
+        """Events per cycle, background included, of a histogram with so much light per emitted photon."""
+        return self.photons * light + float(self.background_hz.max()) * self.exposure.period_s
+
+    def may_saturate(self, width: float) -> bool:
+        """Whether a counter of a bin of so many bins' width may reach its maximum."""
+        if self.spad.counter_max is None:
+            return False
+        background = float(self.background_hz.max())
+        peak = self.photons * float(self.transient.max()) + background * self.time.width_s
+        total = self.photons * float(self.transient.sum(axis=2).max()) + background * self.exposure.period_s
+        # All avalanches that others cause may come together.
+        most = self.exposure.cycles * (width * peak + self.caused * total)
+        return most + 8 * math.sqrt(most) + 8 > self.spad.counter_max
+
+    @property
     def caused(self) -> float:
         """The most avalanches that one avalanche causes by afterpulsing and crosstalk, in turn included."""
         by_traps, by_neighbours = avalanches_caused(self.spad)
@@ -92,6 +138,7 @@ def _timing(given: Detection) -> Change:
     times more.
     """
     time, spad, exposure, transient = given.time, given.spad, given.exposure, given.transient
+    unequal = given.unequal_bins
     pulse = photon_kernel(time.width_s, spad, exposure)
     jitter = response_kernel(time.width_s, spad.jitter_fwhm_s)
     share = float(pulse.weights[pulse.before] * jitter.weights[jitter.before])
@@ -99,11 +146,9 @@ def _timing(given: Detection) -> Change:
     if moved < 1e-14:
         return Change(0.0, "bound", "far narrower than a bin")
     reason = f"it moves {1 - share:.2g} of the photons into other bins"
-    too_long = not given.counts_all and time.bins * time.width_s > exposure.period_s * (1 + 1e-9)
-    if moved > _MOST_MOVED or too_long:
+    if moved > _MOST_MOVED or given.exceeds_period or (unequal is not None and spad.counter_max is not None):
         return Change(None, "bound", reason)
-    light, ambient_hz = spad.pde * exposure.photons_per_pulse, spad.pde * exposure.ambient_rate_hz
-    background_hz = ambient_hz + dark_count_rates(spad, transient.shape[1])
+    light, background_hz = given.photons, given.background_hz
     most = shifted = 0.0
     gated = spad.gate_start_s is not None
     opened = cycle_of(time, spad, exposure).gate[: time.bins] if gated else np.ones(time.bins)
@@ -112,10 +157,8 @@ def _timing(given: Detection) -> Change:
         brightest = admitted = float(transient.sum(axis=2).max())
         if gated:
             admitted = float(np.einsum("lpt,t->lp", transient, opened).max()) + moved * brightest
-        background = float(background_hz.max()) * exposure.period_s
-        laps = (1.0 if spad.mode == "synchronous" else given.whole_periods + 1.0) * (1.0 + given.caused)
-        most = min(laps * (light * admitted + background), _LARGEST_EXPONENT)
-        shifted = moved * laps * (light * brightest + background)
+        most = min(given.dead_periods * given.events_per_cycle(admitted), _LARGEST_EXPONENT)
+        shifted = moved * given.dead_periods * given.events_per_cycle(brightest)
     beside = 2 * (len(pulse.weights) + len(jitter.weights))
     if not gated and spad.counter_max is None:
         ratio = math.sqrt(1.0 + beside / time.bins) * math.exp(most)
@@ -132,7 +175,35 @@ def _timing(given: Detection) -> Change:
         norm = math.sqrt(float(np.square(kept).sum()))
         ratio = math.sqrt(square) / norm if norm > 0 else math.inf
     value = moved / (1.0 - moved) * (1.0 + given.caused) * ratio + shifted * math.exp(2.0 * most)
+    if unequal is not None:
+        # A TDC bin of width w counts records of at most w + 2 bins, and records of a bin get into at most k TDC bins.
+        # So the sorting enlarges the change at most by √(w + 2), and reduces the norm of counts x ≥ 0 at most by √k.
+        value *= math.sqrt(float((unequal.widths.max() + 2) * unequal.shares[1].max()))
     return Change(value if math.isfinite(value) else None, "bound", reason)
+
+
+def _unequal_bins(given: Detection) -> Change:
+    """Bound on the change of the expected histogram if all bins of the TDC were equal.
+
+    Let A_ji be the share of the records of bin i that TDC bin j counts, and w_j = Σ_i A_ji its width. Then
+    ‖(A − 1) x‖ ≤ m ‖x‖, m² = max_i 2 (1 − A_ii) · max_j (1 − A_jj + w_j − A_jj), the product of the largest sums of a
+    column and of a row. Where detections are not uniform within a bin (`tdc_bins.PIECES`), at most exp(M) times as
+    many records change their bin, with M the most events within a dead time. Afterpulses may come in any part of a
+    bin.
+    """
+    unequal = given.unequal_bins
+    assert unequal is not None
+    kept, widths = unequal.shares[0], unequal.widths
+    column, row = 2.0 * (1.0 - kept).max(axis=1), (1.0 + widths - 2.0 * kept).max(axis=1)
+    moved = math.sqrt(float((column * row).max()))
+    reason = f"it moves up to {1 - kept.min():.2g} of a bin's records into other bins"
+    cut = pieces_for(cycle_of(given.time, given.spad, given.exposure), given.spad) > 1
+    if given.exceeds_period or given.may_saturate(float(widths.max())) or (cut and given.caused > 0):
+        return Change(None, "bound", reason)
+    if cut:
+        most = given.dead_periods * given.events_per_cycle(float(given.transient.sum(axis=2).max()))
+        moved *= math.exp(min(most, _LARGEST_EXPONENT))
+    return Change(moved / (1.0 - moved) if moved < 1.0 else None, "bound", reason)
 
 
 def _without_pile_up(given: Detection) -> Detection:
@@ -194,6 +265,12 @@ DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
         "gate", "gate", "detector", "`detector.gate`", "A factor of the flux λ",
         0.0, lambda d: d.spad.gate_start_s is not None, _ONE_OPERATION,
         lambda d: d.with_spad(gate_start_s=None, gate_width_s=None, gate_rise_s=0.0),
+    ),
+    Effect(
+        "tdc_nonlinearity", "TDC nonlinearity", "detector", "`detector.tdc_dnl` > 0",
+        "Records sorted by the edges of the TDC's bins: `detector/tdc_bins.py`; ‖A − 1‖² ≤ ‖A − 1‖₁ ‖A − 1‖_∞",
+        0.4, lambda d: not d.spad.tdc_bins_are_equal, _unequal_bins,
+        lambda d: d.with_spad(tdc_dnl=0.0, tdc_edges_s=None),
     ),
     Effect(
         "tdc_saturation", "TDC saturation", "detector", "`detector.counter_max`",

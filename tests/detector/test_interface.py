@@ -91,6 +91,24 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
             lambda: detect(BLOCK, TIME, Spad(crosstalk_probability=0.1, array_columns=4), EXPOSURE),
             ["array_columns", "whole rows"],
         ),
+        (lambda: Spad(tdc_dnl=2.5), ["Spad.tdc_dnl", "2.5", "0 … 2"]),
+        (lambda: Spad(tdc_period_bins=7), ["Spad.tdc_period_bins", "7", "8 … 65536"]),
+        (lambda: Spad(tdc_seed=-1), ["Spad.tdc_seed", "0 …"]),
+        (lambda: Spad(tdc_edges_s=(0, 1e-9), tdc_dnl=0.1), ["tdc_dnl", "tdc_edges_s", "leave one out"]),
+        (lambda: Spad(tdc_edges_s=(0.0,)), ["tdc_edges_s", "shape (1,)", "(pixel, edge)"]),
+        (lambda: Spad(tdc_edges_s=((0, 1), (0,))), ["tdc_edges_s", "real numbers"]),
+        (lambda: Spad(tdc_edges_s=((0, 1e-9), (0, np.nan))), ["tdc_edges_s[1]", "nan"]),
+        (lambda: Spad(tdc_edges_s=((0, 2e-9, 1e-9, 3e-9),)), ["tdc_edges_s[0]", "never descend"]),
+        (lambda: Spad(tdc_edges_s=(1e-9, 2e-9)), ["tdc_edges_s[0]", "start at 0"]),
+        (lambda: Spad(tdc_edges_s=((0, 1e-9), (0, 2e-9))), ["tdc_edges_s[1]", "same time"]),
+        (
+            lambda: detect(BLOCK, TIME, Spad(tdc_edges_s=(0, 1e-9, 3e-9)), EXPOSURE),
+            ["tdc_edges_s", "2 bins", "3e-09", "2e-09", "1.5e-09"],
+        ),
+        (
+            lambda: detect(BLOCK[:, :2], TIME, Spad(tdc_edges_s=((0, 1e-9),) * 5), EXPOSURE, first_pixel=4),
+            ["tdc_edges_s", "5 pixels", "4 … 5"],
+        ),
     ],
 )
 def test_bad_input_is_one_line_that_names_it(make, words):
@@ -109,6 +127,8 @@ SPADS = {
     "free_running": Spad(pde=0.9, dead_time_s=130e-9, jitter_fwhm_s=2e-9),
     "afterpulsing": Spad(pde=0.9, dead_time_s=130e-9, afterpulse_probability=0.1),
     "paralyzable": Spad(pde=0.9, dead_time_s=30e-9, paralyzable=True),
+    "unequal_bins": Spad(pde=0.9, dead_time_s=130e-9, tdc_dnl=0.5, tdc_period_bins=24),
+    "unequal_given": Spad(pde=0.9, mode="ideal", tdc_edges_s=[(0, k * 1e-10, 2e-9) for k in range(6)]),
 }
 
 

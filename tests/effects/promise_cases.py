@@ -57,8 +57,8 @@ def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e6, "cycles": 10000, "dark_count_rate_hz": 1e-4,
-                "ambient_rate_hz": 1e-3, "dead_time_ns": 10, "afterpulse_probability": 1e-4, "counter_max": 1000,
-                "repetition_rate_mhz": 1, "gate": {"start_ns": 8.0, "width_ns": 900.0},
+                "ambient_rate_hz": 1e-3, "dead_time_ns": 10, "counter_max": 1000,
+                "repetition_rate_mhz": 1, "gate": {"start_ns": 8.0, "width_ns": 900.0}, "tdc_dnl": 1e-5,
             },
         }
     )  # fmt: skip
@@ -89,7 +89,7 @@ def nearly_nothing_skipped(lookins: int = LOOKINS) -> DatasetConfig:
                 "mode": "free_running", "photons_per_pulse": 1e7, "cycles": 10000, "dark_count_rate_hz": 1e4,
                 "ambient_rate_hz": 1e6, "dead_time_ns": 60, "afterpulse_probability": 0.05, "counter_max": 60,
                 "crosstalk_probability": 0.01, "array_columns": 3, "repetition_rate_mhz": 10, "pulse_fwhm_ps": 200,
-                "gate": {"start_ns": 2.0, "width_ns": 40.0},
+                "gate": {"start_ns": 2.0, "width_ns": 40.0}, "tdc_dnl": 0.9,
             },
         }
     )  # fmt: skip
@@ -172,6 +172,7 @@ def _detector(rng: np.random.Generator, array: bool) -> dict[str, Any]:
         settings["afterpulse_probability"] = _log_uniform(rng, 1e-6, 0.1)
     # One pixel alone has no neighbours to share its avalanches with.
     crosstalk = _log_uniform(rng, 1e-6, 0.02) if rng.random() < 0.5 else 1e-3
+    settings["tdc_dnl"] = _one_of(rng, [0.0, 0.0, _log_uniform(rng, 1e-6, 0.5)])
     if array:
         return settings | {"crosstalk_probability": crosstalk, "array_columns": 4}
     return settings | {"crosstalk_probability": 0.0}

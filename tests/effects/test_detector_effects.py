@@ -1,5 +1,5 @@
-"""The bound on the timing response bounds the change of the expected histogram without it; the detector's other
-effects are always simulated, because leaving them out saves nothing."""
+"""The bounds on the timing response and on unequal bins of the TDC bound the change of the expected histogram without
+them; the detector's other effects are always simulated, because leaving them out saves nothing."""
 
 from __future__ import annotations
 
@@ -66,6 +66,8 @@ def random_detection(rng: np.random.Generator) -> Detection:
         spad = replace(spad, counter_max=None)
     if rng.random() < 0.6:
         spad = replace(spad, afterpulse_probability=0.0, crosstalk_probability=0.0)
+    if rng.random() < 0.5:
+        spad = replace(spad, tdc_dnl=chance(1e-6, 1.0), tdc_period_bins=int(chance(8, 200)))
     return Detection(signal(rng), AXIS, spad, exposure, 1e-3)
 
 
@@ -83,13 +85,16 @@ def change(given: Detection, without: Detection) -> float:
 
 
 @pytest.mark.parametrize("detectors", [100, pytest.param(4000, marks=pytest.mark.nightly)])
-def test_bound_of_the_timing_response_holds_in_random_detectors(detectors: int) -> None:
-    """The test needs detectors in which the response matters, and others in which it does not."""
-    row, rng = ROWS["timing_response"], np.random.default_rng(11)
+@pytest.mark.parametrize("effect", ["timing_response", "tdc_nonlinearity"])
+def test_bound_holds_in_random_detectors(effect: str, detectors: int) -> None:
+    """The test needs detectors in which the effect matters, and others in which it does not."""
+    row, rng = ROWS[effect], np.random.default_rng(11)
     assert not isinstance(row.change, str)
     strong = weak = tried = 0
     while strong < 3 or weak < 20 or tried < detectors:
         given = random_detection(rng)
+        if not row.present(given):
+            continue
         found = row.change(given)
         if found.value is None:
             continue
@@ -117,7 +122,7 @@ def test_effects_that_save_nothing_are_simulated() -> None:
     given = random_detection(np.random.default_rng(3))
     decided = decide_detector_effects(given.transient, given.time, given.spad, given.exposure)
     for decision in decided.decisions:
-        if decision.effect != "timing_response" and decision.kind != "absent":
+        if not callable(ROWS[decision.effect].change) and decision.kind != "absent":
             assert decision.simulated and decision.kind == "always" and "saves nothing" in decision.reason
     assert decided.apply_detector(given.spad, given.exposure, 1e-3)[2] == 1e-3
 

@@ -42,7 +42,7 @@ def small(**sections: object) -> DatasetConfig:
 
 def test_every_setting_has_a_row_and_every_row_a_setting() -> None:
     assert set(NAMES) == set(EffectsConfig.model_fields) - {"tolerance"}
-    assert len({row.title for row in EFFECTS}) == len(EFFECTS) == 16
+    assert len({row.title for row in EFFECTS}) == len(EFFECTS) == 17
     for row in EFFECTS:
         assert row.needs and row.reference and 0 <= row.saves < 1
         assert (row.saves == 0) is isinstance(row.change, str), "what saves nothing is not decided, and says why"
@@ -94,6 +94,7 @@ def test_surfaces_and_air_off_are_no_part_of_the_scene() -> None:
 FULL = Spad(
     dark_count_rate_hz=1e4, dead_time_s=30e-9, jitter_fwhm_s=3e-10, afterpulse_probability=0.05,
     crosstalk_probability=0.02, array_columns=2, gate_start_s=2e-9, gate_width_s=8e-9, counter_max=3,
+    tdc_dnl=0.2, tdc_period_bins=32,
 )  # fmt: skip
 LIT = Exposure(repetition_rate_hz=50e6, cycles=1000, photons_per_pulse=3e6, ambient_rate_hz=1e6, pulse_fwhm_s=2e-10)
 SIGNAL = np.abs(np.sin(np.arange(4 * 64).reshape(1, 4, 64))) * 1e-8
@@ -102,7 +103,7 @@ SIGNAL = np.abs(np.sin(np.arange(4 * 64).reshape(1, 4, 64))) * 1e-8
 @pytest.mark.parametrize(
     "effect",
     ["timing_response", "ambient_light", "dark_counts", "pile_up", "dead_time_across_cycles", "afterpulsing",
-     "crosstalk", "gate", "tdc_saturation"],
+     "crosstalk", "gate", "tdc_nonlinearity", "tdc_saturation"],
 )  # fmt: skip
 def test_detector_effects_off_are_not_there(effect: str) -> None:
     settings = switched(**(dict.fromkeys(NAMES, "on") | {"dead_time_across_cycles": "off"} | {effect: "off"}))
@@ -113,7 +114,7 @@ def test_detector_effects_off_are_not_there(effect: str) -> None:
         "timing_response": exposure.pulse_fwhm_s + spad.jitter_fwhm_s, "ambient_light": exposure.ambient_rate_hz,
         "dark_counts": spad.dark_count_rate_hz, "pile_up": spad.dead_time_s, "tdc_saturation": spad.counter_max or 0,
         "dead_time_across_cycles": spad.mode == "free_running", "afterpulsing": spad.afterpulse_probability,
-        "crosstalk": spad.crosstalk_probability,
+        "crosstalk": spad.crosstalk_probability, "tdc_nonlinearity": spad.tdc_dnl,
     }  # fmt: skip
     assert gone.get(effect, 0) == 0
     counts = detect(SIGNAL, AXIS, spad, exposure, tolerance=tolerance)

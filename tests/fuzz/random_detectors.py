@@ -56,6 +56,8 @@ def spads(draw: st.DrawFn, window_s: float, period_s: float) -> Spad:
         "crosstalk_probability": draw(st.sampled_from([0.0, 0.0, 0.0, 0.03, 0.2])),
         "array_columns": draw(st.sampled_from([None, 1])),
         "counter_max": draw(st.sampled_from([None, None, 1, 7, 1000])),
+        "tdc_dnl": draw(st.sampled_from([0.0, 0.0, 1e-9, 0.3, 2.0])),
+        "tdc_period_bins": draw(st.sampled_from([8, 140])),
     }
     if gate is not None:
         values["gate_start_s"], values["gate_width_s"] = gate[0] * period_s, gate[1] * period_s * (1 - 1e-9)

@@ -35,9 +35,9 @@ def small_config(**changes: object) -> DatasetConfig:
     return config_from_mapping(values | changes)
 
 
-def noisy_config() -> DatasetConfig:
+def noisy_config(**detector: Any) -> DatasetConfig:
     """`small_config` with a detector whose noise can be drawn anew."""
-    return small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100})
+    return small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100} | detector)
 
 
 def large_config() -> DatasetConfig:

@@ -111,13 +111,15 @@ def test_the_order_is_a_function_of_seed_and_epoch() -> None:
         EpochSampler(range(10), rank=3, ranks=3)
 
 
-def test_redrawn_noise_has_the_detectors_mean(dataset: Path) -> None:
+@pytest.mark.parametrize("detector", [{}, {"tdc_dnl": 0.5}], ids=["equal bins", "unequal bins"])
+def test_redrawn_noise_has_the_detectors_mean(detector: dict[str, float], tmp_path: Path) -> None:
     """χ² over all bins of the sum of 200 epochs against the exact mean, at a significance level of 10⁻⁶."""
     from scipy.stats import chi2
 
     from datagen.detector import detector_for, expected_histogram
     from datagen.store import read_manifest
 
+    dataset = write_dataset(noisy_config(**detector), tmp_path / "set", fake_sample)
     data = TransientDataset(dataset, ("histogram", "transient"), redraw_noise=True)
     config = read_manifest(dataset).parsed_config()
     total = np.zeros(data.shape("histogram"))

@@ -1,0 +1,230 @@
+"""Bins of a time-to-digital converter whose widths differ from bin to bin and from pixel to pixel.
+
+The true time of a record decides into which bin it falls, so unequal bins only sort records anew: dead time and all
+else before the record knows nothing of them. A record is taken as uniform within its bin of the time axis, like the
+light there. Where a dead time follows a detection and jitter leaves most records in their bin, this holds only for
+short bins, and the bins of the time axis are cut into `PIECES` first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.special
+from numpy.typing import NDArray
+
+from datagen.compiled import compiled
+from datagen.detector.flux import Cycle, uniform_of_pixels
+from datagen.detector.random_numbers import Stream, binomial
+from datagen.detector.spad import TDC_PERIOD_ACCURACY, Spad
+from datagen.errors import InputError
+
+Array = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+PIECES = 8
+"""Pieces of a bin, within which detections are taken as uniform. Of a bin with λ events per cycle at most the share
+λ / (8 PIECES²) of the detections gets into the wrong bin of the TDC; halved, it is four times as much."""
+_STEADY = 0.9
+"""Least share of records that jitter leaves in their bin for their place in it to matter: a jitter of 0.7 bins FWHM.
+Halved, their place would still count where jitter has long made it uniform."""
+_SAME = 1e-9
+"""Share of a bin by which edges may differ and count as equal, so that rounding puts no record into a neighbour.
+Halved, it does not either."""
+_NARROWEST = 1e-6
+"""Relative deviation of widths below which a gamma distribution is not computed, because no exposure shows it.
+Halved, its inverse loses digits."""
+
+
+def pieces_for(cycle: Cycle, spad: Spad) -> int:
+    """Number of pieces into which the bins of the time axis are cut before records are sorted; 1 if they are not."""
+    has_memory = spad.dead_time_s > 0 and spad.mode != "ideal"
+    jitter = cycle.after_avalanche
+    if spad.tdc_bins_are_equal or not has_memory:
+        return 1
+    return PIECES if jitter.weights[jitter.before] > _STEADY else 1
+
+
+@lru_cache(maxsize=8)
+def tdc_widths(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
+    """(pixels or 1, bins of a period) widths of the TDC's bins over the mean width, of the pixels from number
+    `first_pixel` on; one row if all pixels are alike.
+
+    The drawn widths of a period follow a Dirichlet distribution: gamma numbers of shape a over their mean. Their
+    variance (n − 1) / (n a + 1) is that of the widths asked for.
+
+    Raises `InputError` if edges are given for fewer pixels.
+    """
+    if spad.tdc_edges_s is not None:
+        edges = np.array(spad.tdc_edges_s)
+        if len(edges) > 1 and len(edges) < first_pixel + pixels:
+            raise InputError(
+                f"Spad.tdc_edges_s: edges of {len(edges)} pixels, and pixels {first_pixel} … "
+                f"{first_pixel + pixels - 1} are measured; give one row of edges for each pixel, or one for all"
+            )
+        rows = edges if len(edges) == 1 else edges[first_pixel : first_pixel + pixels]
+        widths = np.diff(rows) / rows[:, -1:] * (edges.shape[1] - 1)
+    else:
+        n = spad.tdc_period_bins
+        shape = ((n - 1) / max(spad.tdc_dnl, _NARROWEST) ** 2 - 1) / n
+        widths = scipy.special.gammaincinv(shape, uniform_of_pixels(spad.tdc_seed, n, pixels, first_pixel))
+        widths /= widths.mean(axis=1, keepdims=True)
+    # The result is cached and shared by later calls.
+    widths.flags.writeable = False
+    return np.asarray(widths)
+
+
+@dataclass(frozen=True)
+class TdcBins:
+    """The sorting of records into the bins of the TDC.
+
+    Attributes
+    ----------
+    pieces : number of pieces of a bin of the time axis.
+    from_s : (n + 1,) edges of these pieces, in the window.
+    to_s : (pixel or 1, window + 1) edges of the TDC's bins of each pixel.
+    bins : number of bins of the time axis; those beyond the window stay empty.
+    """
+
+    pieces: int
+    from_s: Array
+    to_s: Array
+    bins: int
+
+    @classmethod
+    def of(cls, cycle: Cycle, pieces: int, spad: Spad, pixels: int, first_pixel: int = 0) -> TdcBins:
+        """The TDC's bins of pixels from number `first_pixel` on, for records in the bins of `cycle.cut(pieces)`.
+
+        The record ends with the window: TDC bins are cut off there, and the last one is extended to it.
+
+        Raises `InputError` for edges that do not fit the time axis or the number of pixels.
+        """
+        widths = tdc_widths(spad, pixels, first_pixel)
+        codes, window, width = widths.shape[1], cycle.window, cycle.width_s
+        if spad.tdc_edges_s is not None:
+            length, wanted = spad.tdc_edges_s[0][-1], codes * width
+            if abs(length - wanted) > TDC_PERIOD_ACCURACY * wanted:
+                raise InputError(
+                    f"Spad.tdc_edges_s: {codes} bins end at {length:g} s, and {codes} bins of {width:g} s at "
+                    f"{wanted:g} s; set the time axis's bin width to {length / codes:.9g} s, or rescale the edges"
+                )
+        inside = np.zeros((len(widths), codes + 1))
+        np.cumsum(widths, axis=1, out=inside[:, 1:])
+        inside[:, -1] = codes
+        number = np.arange(window + 1)
+        edges = (number // codes * codes) + inside[:, number % codes]
+        nearest = np.rint(edges)
+        edges = np.where(np.abs(edges - nearest) < _SAME, nearest, edges) * width
+        fine = cycle if pieces == 1 else cycle.cut(pieces)
+        end = cycle.edges_s[window]
+        edges = np.minimum(edges, end)
+        edges[:, -1] = end
+        return cls(pieces, fine.edges_s[: fine.window + 1], edges, cycle.bins)
+
+    @property
+    def widths(self) -> Array:
+        """(pixel or 1, window) widths of the TDC's bins, in bins of the time axis."""
+        return np.asarray(np.diff(self.to_s) / (self.pieces * (self.from_s[1] - self.from_s[0])))
+
+    @property
+    def shares(self) -> tuple[Array, Counts]:
+        """(pixel or 1, window) share of a bin's records that keep its number, and number of TDC bins that its records
+        get into; for records in whole bins."""
+        rows, window = len(self.to_s), len(self.from_s) - 1
+        kept, touched = np.empty((rows, window)), np.zeros((rows, window), np.int64)
+        _fill_shares(self.from_s, self.to_s, kept, touched)
+        return kept, touched
+
+    def mean(self, records: Array, pixels: NDArray[np.int64] | None = None) -> Array:
+        """(…, bins) expected records in the TDC's bins, from those in the incoming bins (…, m), m ≥ n.
+
+        pixels : (…,) number of each row's pixel in this measurement; left out, the second last axis is that of all
+        pixels.
+        """
+        rows = np.ascontiguousarray(records.reshape(-1, records.shape[-1]))
+        out = np.zeros((len(rows), self.bins))
+        _sort_mean(rows, self.from_s, self.to_s, self._edges_of(records, pixels), out)
+        return out.reshape(*records.shape[:-1], self.bins)
+
+    def draw(self, records: Counts, streams: Stream, pixels: NDArray[np.int64] | None = None) -> Counts:
+        """(…, bins) records in the TDC's bins: a multinomial number for each incoming bin, from streams (…, 4)."""
+        rows = np.ascontiguousarray(records.reshape(-1, records.shape[-1]))
+        out = np.zeros((len(rows), self.bins), np.int64)
+        own = streams.reshape(-1, 4)
+        _sort_counts(rows, self.from_s, self.to_s, self._edges_of(records, pixels), own, out)
+        return out.reshape(*records.shape[:-1], self.bins)
+
+    def _edges_of(self, records: NDArray[np.generic], pixels: NDArray[np.int64] | None) -> NDArray[np.int64]:
+        """(rows,) row of `to_s` for each row of the records."""
+        leading = records.shape[:-1]
+        if len(self.to_s) == 1:
+            return np.zeros(int(np.prod(leading)), np.int64)
+        numbers = np.arange(len(self.to_s)) if pixels is None else pixels
+        return np.ascontiguousarray(np.broadcast_to(numbers, leading)).reshape(-1)
+
+
+@compiled()
+def _overlap(low: float, high: float, edges: Array, k: int) -> float:
+    """Share of the interval `low … high` in TDC bin k."""
+    return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))
+
+
+@compiled()
+def _fill_shares(from_s: Array, to_s: Array, kept: Array, touched: Counts) -> None:
+    """Fill in the arrays of `TdcBins.shares`."""
+    for p in range(len(to_s)):
+        edges, j = to_s[p], 0
+        for i in range(len(from_s) - 1):
+            low, high = from_s[i], from_s[i + 1]
+            while edges[j + 1] <= low:
+                j += 1
+            kept[p, i] = _overlap(low, high, edges, i)
+            k = j
+            while k < len(edges) - 1 and edges[k] < high:
+                touched[p, i] += edges[k + 1] > edges[k]
+                k += 1
+
+
+@compiled()
+def _sort_mean(records: Array, from_s: Array, to_s: Array, row_of: Counts, out: Array) -> None:
+    """Add `records` (h, m) to the TDC's bins `out` (h, bins), in proportion to the overlap."""
+    for h in range(len(records)):
+        edges, j = to_s[row_of[h]], 0
+        for i in range(len(from_s) - 1):
+            value, low, high = records[h, i], from_s[i], from_s[i + 1]
+            if value == 0.0:
+                continue
+            # The last edge is the end of the window, so the search ends.
+            while edges[j + 1] <= low:
+                j += 1
+            k = j
+            while k < len(edges) - 1 and edges[k] < high:
+                out[h, k] += value * _overlap(low, high, edges, k)
+                k += 1
+
+
+@compiled()
+def _sort_counts(records: Counts, from_s: Array, to_s: Array, row_of: Counts, streams: Stream, out: Counts) -> None:
+    """Add counts `records` (h, m) to the TDC's bins `out` (h, bins), each at random according to the overlap."""
+    for h in range(len(records)):
+        edges, j, stream = to_s[row_of[h]], 0, streams[h]
+        for i in range(len(from_s) - 1):
+            left, low, high = records[h, i], from_s[i], from_s[i + 1]
+            if left == 0:
+                continue
+            while edges[j + 1] <= low:
+                j += 1
+            # A binomial for each TDC bin, out of the counts that are still left. The last bin takes the rest, so that
+            # rounding loses none.
+            k, rest = j, 1.0
+            while left > 0:
+                share = _overlap(low, high, edges, k)
+                moved = left
+                if edges[k + 1] < high and share < rest:
+                    moved = binomial(left, share / rest, stream)
+                out[h, k] += moved
+                left -= moved
+                rest -= share
+                k += 1
