@@ -27,7 +27,7 @@ help:
 	@echo "make fresh   drop compiled kernels, after an edit of one that others call (make test does it, too)"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/figures.md"
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
-	@echo "make docs    docs/api.md from the docstrings;  make wheel   a wheel in dist/;  make clean   remove what was made"
+	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
 	@echo "make bench   the tables of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
 	@echo "             -forecasts, -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
@@ -77,10 +77,11 @@ format: setup
 schema: setup
 	$(BIN)/datagen schema > configs/schema.json
 
-# The API reference, from the docstrings.
+# The API reference, from the docstrings, and the table of materials, from the catalogue.
 .PHONY: docs
 docs: setup
 	$(BIN)/python docs/make_api.py
+	$(BIN)/python docs/make_materials.py
 
 # Thousands of random cases, new ones at each run: make fuzz SEED=7 repeats one.
 fuzz: SEED ?= $(shell date +%s)

@@ -68,6 +68,7 @@ CHECKED = {
     "_whole": "whole, ≥ 0",
     "_known_classes": "classes or groups of the library",
     "_known_materials": "materials of the catalogue",
+    "checked_wavelength_nm": "≥ 532, ≤ 1550",
     "_existing_file": "a file",
     "_existing_folder": "a folder with meshes",
 }

@@ -1,7 +1,8 @@
-"""A catalogue of real materials: diffuse reflectance near four laser lines, and how they depart from Lambert's law.
+"""A catalogue of real materials: reflectance at the usual laser lines, and how they depart from Lambert's law.
 
-Every number here is an `estimate`: none was read from a measurement that we could name. `reasoning` says what each
-estimate rests on. `spread` is the half-width of the range of samples one meets under that name (colour, wear, dirt).
+Reflectances are `measured` where a sample of `scene_library.reflectances` is that very material, and `estimate`
+everywhere else; `reasoning` says why, or what the estimate rests on. The departures from Lambert's law are estimates
+throughout.
 """
 
 from __future__ import annotations
@@ -12,19 +13,18 @@ from typing import Literal
 
 import numpy as np
 
-WAVELENGTHS_NM = (532.0, 670.0, 905.0, 1550.0)
-"""Laser lines that the catalogue gives values for: green, red, and the two usual lidar bands."""
+from scene_library.reflectances import SAMPLES, WAVELENGTHS_NM, Spectrum
 
 
 @dataclass(frozen=True)
 class Brdf:
-    """Departure from a Lambertian surface, all estimates.
+    """Departure from a Lambertian surface, all estimates, the same at every wavelength.
 
     Attributes
     ----------
-    specular : share of the reflected light that is scattered around the mirror direction at normal incidence.
+    specular : share of the reflected light that is scattered around the mirror direction at normal incidence, 0 … 1.
     exponent : Phong exponent of that lobe (about 2/roughness² − 2); 0 where there is no lobe.
-    retro : share that goes back towards the source.
+    retro : share that goes back towards the source, 0 … 1.
     """
 
     specular: float = 0.0
@@ -38,127 +38,233 @@ class CatalogueMaterial:
 
     Attributes
     ----------
-    reflectance : hemispherical reflectance at each of `WAVELENGTHS_NM`, 0 … 1.
-    spread : half-width of the range of reflectances met under this name.
+    reflectance : hemispherical reflectance at each of `WAVELENGTHS_NM`, 0 … 1; the mean of `samples` if it has any.
+    spread : half-width of the range of reflectances met under this name (colour, wear, dirt) at each of
+        `WAVELENGTHS_NM`. It is half of the range of `samples` if there are several, and otherwise an estimate.
     brdf : how it departs from Lambert's law.
-    reasoning : what the estimate rests on.
+    reasoning : why the samples stand for the material, or what the estimate rests on.
+    samples : keys of `SAMPLES` that the reflectance was taken from; none for an estimate.
     """
 
     name: str
-    reflectance: tuple[float, float, float, float]
-    spread: float
+    reflectance: Spectrum
+    spread: Spectrum
     brdf: Brdf
     reasoning: str
-    origin: Literal["estimate"] = "estimate"
+    samples: tuple[str, ...] = ()
+
+    @property
+    def origin(self) -> Literal["measured", "estimate"]:
+        """Whether the reflectance was measured, or estimated."""
+        return "measured" if self.samples else "estimate"
 
     def albedo(self, wavelength_nm: float, tint: float = 0.0) -> float:
         """Reflectance at a wavelength, linear between the catalogue's; `tint` −1 … 1 moves it within the spread.
 
-        Raises `ValueError` outside 500 … 1600 nm, where nothing is known.
+        The spread is narrowed where it would reach below 0 or above 1, on both sides alike, so that the mean stays.
+        Raises `ValueError` outside 532 … 1550 nm.
         """
-        if not 500 <= wavelength_nm <= 1600:
-            raise ValueError(f"wavelength {wavelength_nm:g} nm: the catalogue covers 500 … 1600 nm")
-        middle = float(np.interp(wavelength_nm, WAVELENGTHS_NM, self.reflectance))
-        return min(max(middle + tint * self.spread, 0.0), 1.0)
+        at = checked_wavelength_nm(wavelength_nm)
+        middle = float(np.interp(at, WAVELENGTHS_NM, self.reflectance))
+        spread = min(float(np.interp(at, WAVELENGTHS_NM, self.spread)), middle, 1 - middle)
+        return min(max(middle + tint * spread, 0.0), 1.0)
+
+
+def checked_wavelength_nm(wavelength_nm: float) -> float:
+    """The wavelength itself. Raises `ValueError` if it lies outside the catalogue's range, 532 … 1550 nm."""
+    low, high = WAVELENGTHS_NM[0], WAVELENGTHS_NM[-1]
+    if not low <= wavelength_nm <= high:
+        raise ValueError(
+            f"{wavelength_nm:g} nm given, and the catalogue of materials covers {low:g} … {high:g} nm; take a "
+            "wavelength in that range, or leave the key out and give every surface an albedo in place of a material"
+        )
+    return wavelength_nm
+
+
+def _estimate(name: str, reflectance: Spectrum, spread: float, brdf: Brdf, reasoning: str) -> CatalogueMaterial:
+    """A material nobody measured for us, with the same spread at every wavelength."""
+    return CatalogueMaterial(name, reflectance, _everywhere(spread), brdf, reasoning)
+
+
+def _measured(
+    name: str, samples: tuple[str, ...], brdf: Brdf, reasoning: str, spread: float | None = None
+) -> CatalogueMaterial:
+    """The mean of the samples; their range gives the spread, or, for a single sample, an estimate: `spread`."""
+    spectra = [SAMPLES[sample].reflectance for sample in samples]
+    mean = tuple(sum(values) / len(values) for values in zip(*spectra, strict=True))
+    half = tuple((max(values) - min(values)) / 2 for values in zip(*spectra, strict=True))
+    return CatalogueMaterial(name, mean, half if spread is None else _everywhere(spread), brdf, reasoning, samples)
+
+
+def _everywhere(value: float) -> Spectrum:
+    return (value,) * len(WAVELENGTHS_NM)
 
 
 # fmt: off
 _ROWS = (
-    CatalogueMaterial("white_painted_plaster", (0.82, 0.84, 0.83, 0.68), 0.08, Brdf(specular=0.02, exponent=10.0),
+    _estimate("white_painted_plaster", (0.82, 0.84, 0.84, 0.83, 0.83, 0.82, 0.68), 0.08,
+        Brdf(specular=0.02, exponent=10.0),
         "Titanium-white wall paint looks 80–90 % bright and titania scatters alike through 1 µm; at 1550 nm the "
         "binder's and bound water's overtones and the longer wavelength take some away."),
-    CatalogueMaterial("cream_wallpaper", (0.62, 0.70, 0.74, 0.60), 0.10, Brdf(),
+    _estimate("cream_wallpaper", (0.62, 0.70, 0.74, 0.74, 0.74, 0.73, 0.60), 0.10, Brdf(),
         "Paper with a yellowish print: bright in red, lower in green; the pigment is clear in the near infrared; "
         "cellulose and its water absorb at 1550 nm."),
-    CatalogueMaterial("grey_wall_paint", (0.45, 0.45, 0.44, 0.38), 0.15, Brdf(specular=0.02, exponent=10.0),
+    _estimate("grey_wall_paint", (0.45, 0.45, 0.44, 0.44, 0.44, 0.43, 0.38), 0.15, Brdf(specular=0.02, exponent=10.0),
         "White paint darkened with a little carbon black, neutral over the whole range; binder loss at 1550 nm."),
-    CatalogueMaterial("gypsum_board", (0.74, 0.77, 0.78, 0.56), 0.06, Brdf(),
+    _estimate("gypsum_board", (0.74, 0.77, 0.78, 0.78, 0.78, 0.77, 0.56), 0.06, Brdf(),
         "Off-white paper facing over gypsum; gypsum's crystal water has strong bands near 1450–1550 nm."),
-    CatalogueMaterial("mineral_ceiling_tile", (0.80, 0.82, 0.82, 0.70), 0.05, Brdf(),
+    _estimate("mineral_ceiling_tile", (0.80, 0.82, 0.82, 0.82, 0.82, 0.81, 0.70), 0.05, Brdf(),
         "Sold as about 80–90 % light-reflecting; white mineral fibre, latex paint, small binder loss at 1550 nm."),
-    CatalogueMaterial("concrete", (0.30, 0.34, 0.37, 0.36), 0.10, Brdf(),
-        "Dry grey concrete looks about a third as bright as white paper and slightly warm; cement hydrates hold some "
-        "water, which flattens the rise at 1550 nm."),
-    CatalogueMaterial("red_brick", (0.14, 0.32, 0.40, 0.46), 0.08, Brdf(),
-        "Iron oxide absorbs green, lets red through, and has a weak band near 900 nm; fired clay is dry, so 1550 nm "
-        "is brightest."),
-    CatalogueMaterial("glazed_white_tile", (0.78, 0.80, 0.80, 0.74), 0.06, Brdf(specular=0.06, exponent=400.0),
+    _measured("concrete", ("SLUM C002", "SLUM C004", "ECOSTRESS construction.concrete."), Brdf(),
+        "Grey construction concrete: new, weathered, and one of unknown age. White and ochre concrete have their "
+        "own rows."),
+    _measured("red_brick", ("SLUM B008", "SLUM B013"), Brdf(),
+        "Red clay bricks, one new and one weathered: iron oxide absorbs green, and fired clay is dry at 1550 nm."),
+    _estimate("glazed_white_tile", (0.78, 0.80, 0.80, 0.80, 0.80, 0.80, 0.74), 0.06,
+        Brdf(specular=0.06, exponent=400.0),
         "White ceramic body under clear glaze: bright and dry; the glaze's Fresnel reflection of about 4 % is the "
         "specular part."),
-    CatalogueMaterial("marble_floor", (0.60, 0.63, 0.65, 0.62), 0.15, Brdf(specular=0.06, exponent=200.0),
+    _estimate("marble_floor", (0.60, 0.63, 0.65, 0.65, 0.65, 0.65, 0.62), 0.15, Brdf(specular=0.06, exponent=200.0),
         "Polished light marble: carbonate grains scatter almost without absorption up to 1.5 µm, veins darken it."),
-    CatalogueMaterial("grey_linoleum", (0.28, 0.33, 0.42, 0.36), 0.12, Brdf(specular=0.05, exponent=40.0),
+    _estimate("grey_linoleum", (0.28, 0.33, 0.41, 0.42, 0.43, 0.44, 0.36), 0.12, Brdf(specular=0.05, exponent=40.0),
         "Organic pigments in linseed binder: mid-grey to the eye, clearer in the near infrared, C–H overtones near "
         "1550 nm."),
-    CatalogueMaterial("asphalt", (0.07, 0.08, 0.10, 0.13), 0.04, Brdf(),
-        "Bitumen is near black at all these lines; worn road shows stone and brightens slowly with wavelength."),
-    CatalogueMaterial("gravel", (0.24, 0.27, 0.30, 0.33), 0.10, Brdf(),
+    _measured("asphalt", ("SLUM A001", "SLUM A008", "ECOSTRESS construction.asphalt"), Brdf(),
+        "Road surfaces from black tarmac to asphalt with visible stones."),
+    _estimate("gravel", (0.24, 0.27, 0.29, 0.30, 0.30, 0.31, 0.33), 0.10, Brdf(),
         "Mixed grey stone with shadows between the grains, rising slowly as dry minerals do."),
-    CatalogueMaterial("dry_sand", (0.25, 0.35, 0.43, 0.49), 0.10, Brdf(),
+    _estimate("dry_sand", (0.25, 0.35, 0.42, 0.43, 0.43, 0.45, 0.49), 0.10, Brdf(),
         "Quartz with iron-stained coats: dark in green, rising steadily; dry, so no loss at 1550 nm."),
-    CatalogueMaterial("dry_soil", (0.11, 0.18, 0.27, 0.36), 0.07, Brdf(),
-        "Humus and iron oxides absorb the visible; soils brighten monotonically to 1.6 µm when dry."),
-    CatalogueMaterial("fresh_snow", (0.93, 0.92, 0.82, 0.10), 0.06, Brdf(specular=0.02, exponent=20.0),
-        "Ice hardly absorbs the visible and weakly at 905 nm, but strongly near 1500 nm, and turns dark there."),
-    CatalogueMaterial("pine_wood", (0.44, 0.60, 0.68, 0.50), 0.08, Brdf(specular=0.02, exponent=15.0),
+    _measured("dry_soil", ("ECOSTRESS light.yellowish.brown.clay", "ECOSTRESS black.loam"), Brdf(),
+        "From a light clay to a black loam: soils lie between the two. Both rise up to 1550 nm, so they were dry."),
+    _measured("fresh_snow", ("ECOSTRESS fine.snow",), Brdf(specular=0.02, exponent=20.0),
+        "Clean fine-grained snow, as it falls; coarser or dirty snow is darker. Ice absorbs near 1500 nm.",
+        spread=0.06),
+    _estimate("pine_wood", (0.44, 0.60, 0.67, 0.68, 0.68, 0.69, 0.50), 0.08, Brdf(specular=0.02, exponent=15.0),
         "Light yellowish wood; lignin absorbs towards green; cellulose and about 10 % moisture absorb near 1500 nm."),
-    CatalogueMaterial("dark_oak", (0.11, 0.20, 0.42, 0.42), 0.07, Brdf(specular=0.04, exponent=30.0),
+    _estimate("dark_oak", (0.11, 0.20, 0.38, 0.42, 0.44, 0.49, 0.42), 0.07, Brdf(specular=0.04, exponent=30.0),
         "Brown stain hides most of the visible but organic stains clear beyond 800 nm; moisture holds 1550 nm back."),
-    CatalogueMaterial("plywood", (0.40, 0.54, 0.64, 0.48), 0.08, Brdf(),
+    _estimate("plywood", (0.40, 0.54, 0.63, 0.64, 0.64, 0.65, 0.48), 0.08, Brdf(),
         "As pine, slightly darker for the glue and the peeled grain."),
-    CatalogueMaterial("cardboard", (0.28, 0.41, 0.56, 0.50), 0.07, Brdf(),
+    _estimate("cardboard", (0.28, 0.41, 0.54, 0.56, 0.57, 0.59, 0.50), 0.07, Brdf(),
         "Unbleached kraft fibre: lignin brown in the visible, clear in the near infrared, cellulose loss at 1550."),
-    CatalogueMaterial("white_paper", (0.80, 0.82, 0.83, 0.66), 0.05, Brdf(specular=0.01, exponent=10.0),
+    _estimate("white_paper", (0.80, 0.82, 0.83, 0.83, 0.83, 0.82, 0.66), 0.05, Brdf(specular=0.01, exponent=10.0),
         "Office paper is about as bright as white paint; cellulose overtones and moisture at 1550 nm. Brighteners "
         "act below 500 nm and are left out."),
-    CatalogueMaterial("white_cotton", (0.74, 0.77, 0.78, 0.55), 0.08, Brdf(),
+    _estimate("white_cotton", (0.74, 0.77, 0.78, 0.78, 0.78, 0.77, 0.55), 0.08, Brdf(),
         "Bleached cellulose fibre, a little translucent; moisture and cellulose absorb near 1500 nm."),
-    CatalogueMaterial("blue_denim", (0.09, 0.08, 0.52, 0.46), 0.05, Brdf(),
+    _estimate("blue_denim", (0.09, 0.08, 0.50, 0.52, 0.53, 0.54, 0.46), 0.05, Brdf(),
         "Indigo absorbs green and most of all red, and is transparent beyond 750 nm, where the cotton shows."),
-    CatalogueMaterial("black_cotton", (0.04, 0.05, 0.40, 0.38), 0.03, Brdf(),
+    _estimate("black_cotton", (0.04, 0.05, 0.36, 0.40, 0.42, 0.46, 0.38), 0.03, Brdf(),
         "Reactive black dyes cover the visible only, so black shirts often look grey in near-infrared cameras; cloth "
         "dyed with carbon would stay dark."),
-    CatalogueMaterial("grey_wool_carpet", (0.17, 0.20, 0.42, 0.40), 0.10, Brdf(),
+    _estimate("grey_wool_carpet", (0.17, 0.20, 0.39, 0.42, 0.43, 0.46, 0.40), 0.10, Brdf(),
         "Dyed keratin fibre with deep shadows between the tufts; organic dye clear in the near infrared."),
-    CatalogueMaterial("black_velvet", (0.01, 0.01, 0.06, 0.08), 0.01, Brdf(),
+    _estimate("black_velvet", (0.01, 0.01, 0.05, 0.06, 0.06, 0.08, 0.08), 0.01, Brdf(),
         "Pile that traps light: about one per cent to the eye; the dye loses strength in the infrared."),
-    CatalogueMaterial("light_skin", (0.38, 0.58, 0.58, 0.08), 0.07, Brdf(specular=0.05, exponent=20.0),
-        "Blood absorbs green, red passes; at 905 nm tissue scatters with little absorption; water makes skin nearly "
-        "black at 1550 nm."),
-    CatalogueMaterial("dark_skin", (0.09, 0.18, 0.42, 0.06), 0.05, Brdf(specular=0.08, exponent=20.0),
+    _estimate("light_skin", (0.38, 0.58, 0.60, 0.58, 0.55, 0.53, 0.08), 0.07, Brdf(specular=0.05, exponent=20.0),
+        "Blood absorbs green, red passes; from 850 to 905 nm tissue scatters with little absorption; a weak band of "
+        "water at 970 nm reaches 940 nm; water makes skin nearly black at 1550 nm."),
+    _estimate("dark_skin", (0.09, 0.18, 0.38, 0.42, 0.42, 0.44, 0.06), 0.05, Brdf(specular=0.08, exponent=20.0),
         "Melanin absorbs green most and fades towards the infrared; water as in any skin at 1550 nm."),
-    CatalogueMaterial("green_foliage", (0.12, 0.05, 0.48, 0.25), 0.04, Brdf(specular=0.05, exponent=15.0),
-        "Chlorophyll: weak minimum of absorption in green, maximum near 670 nm, none beyond 750 nm; leaf water "
-        "absorbs around 1450 nm and its wing reaches 1550 nm."),
-    CatalogueMaterial("dry_straw", (0.25, 0.36, 0.50, 0.45), 0.08, Brdf(),
-        "Chlorophyll gone, lignin yellow left: rises through red to the infrared; dry cellulose near 1500 nm."),
-    CatalogueMaterial("brushed_aluminium", (0.72, 0.71, 0.68, 0.82), 0.08, Brdf(specular=0.85, exponent=40.0),
-        "Clean aluminium reflects about nine tenths, with an interband dip near 830 nm that reaches 905 nm; grooves "
-        "and oxide cost about a fifth."),
-    CatalogueMaterial("stainless_steel", (0.55, 0.58, 0.62, 0.70), 0.07, Brdf(specular=0.9, exponent=120.0),
-        "Iron-chromium alloys reflect somewhat over half in the visible and rise slowly, as free-electron absorption "
-        "falls."),
-    CatalogueMaterial("galvanised_steel", (0.40, 0.43, 0.46, 0.52), 0.10, Brdf(specular=0.35, exponent=15.0),
-        "Weathered zinc with a dull carbonate film: darker than bare metal and mostly diffuse."),
-    CatalogueMaterial("tarnished_copper", (0.30, 0.60, 0.74, 0.85), 0.12, Brdf(specular=0.7, exponent=30.0),
+    _measured("green_foliage", ("ECOSTRESS decidous",), Brdf(specular=0.05, exponent=15.0),
+        "Green leaves of deciduous trees. Chlorophyll absorbs up to 700 nm, leaf water at 1550 nm.", spread=0.04),
+    _measured("dry_straw", ("ECOSTRESS dry.grass",), Brdf(),
+        "Dry grass, of which straw is the stalks: no chlorophyll is left, lignin absorbs green.", spread=0.08),
+    _estimate("brushed_aluminium", (0.73, 0.72, 0.70, 0.72, 0.73, 0.76, 0.78), 0.08,
+        Brdf(specular=0.85, exponent=40.0),
+        "Four fifths of what Fresnel's equations give for clean aluminium, with its interband dip near 830 nm: "
+        "grooves and oxide cost about a fifth. Used and weathered sheet, which were measured, are not brushed."),
+    _measured("stainless_steel", ("NASA stainless steel",), Brdf(specular=0.9, exponent=120.0),
+        "Polished stainless steel; its lobe is that of a satin finish.", spread=0.07),
+    _estimate("galvanised_steel", (0.40, 0.40, 0.36, 0.34, 0.33, 0.33, 0.52), 0.10,
+        Brdf(specular=0.35, exponent=15.0),
+        "Weathered zinc with a dull carbonate film: darker than bare metal and mostly diffuse; zinc's interband "
+        "absorption near 1 µm shows through. The sample at hand is too dark to be one."),
+    _estimate("tarnished_copper", (0.30, 0.60, 0.72, 0.74, 0.75, 0.78, 0.85), 0.12, Brdf(specular=0.7, exponent=30.0),
         "Copper's interband edge lies near 580 nm: green is absorbed, red and infrared reflected; a thin oxide "
-        "darkens the short end."),
-    CatalogueMaterial("white_car_paint", (0.76, 0.79, 0.77, 0.62), 0.06, Brdf(specular=0.06, exponent=1000.0),
+        "darkens the short end. Polished copper and green patina, which were measured, are its two ends."),
+    _estimate("white_car_paint", (0.76, 0.79, 0.78, 0.77, 0.77, 0.76, 0.62), 0.06,
+        Brdf(specular=0.06, exponent=1000.0),
         "Titania base under clear coat: as white paint below, 4 % Fresnel gloss on top."),
-    CatalogueMaterial("black_car_paint", (0.05, 0.05, 0.05, 0.05), 0.01, Brdf(specular=0.85, exponent=1000.0),
+    _estimate("black_car_paint", (0.05, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05), 0.01,
+        Brdf(specular=0.85, exponent=1000.0),
         "Carbon black absorbs everywhere; what is left is the clear coat's gloss of about 4 %."),
-    CatalogueMaterial("white_plastic", (0.82, 0.85, 0.85, 0.64), 0.06, Brdf(specular=0.05, exponent=150.0),
+    _estimate("white_plastic", (0.82, 0.85, 0.85, 0.85, 0.85, 0.84, 0.64), 0.06, Brdf(specular=0.05, exponent=150.0),
         "Titania-filled ABS: bright to 1 µm, C–H overtones of the polymer near 1550 nm take part of it."),
-    CatalogueMaterial("black_rubber", (0.04, 0.04, 0.04, 0.04), 0.02, Brdf(specular=0.1, exponent=10.0),
+    _estimate("black_rubber", (0.04, 0.04, 0.04, 0.04, 0.04, 0.04, 0.04), 0.02, Brdf(specular=0.1, exponent=10.0),
         "Filled with carbon black, which is neutral over the whole range."),
-    CatalogueMaterial("matt_black_paint", (0.04, 0.04, 0.04, 0.05), 0.02, Brdf(),
+    _estimate("matt_black_paint", (0.04, 0.04, 0.04, 0.04, 0.04, 0.04, 0.05), 0.02, Brdf(),
         "Carbon black in a flat binder, made for the inside of instruments; the flatting agent shows a little at "
         "1550 nm."),
-    CatalogueMaterial("diffuse_white_target", (0.98, 0.98, 0.98, 0.97), 0.01, Brdf(),
+    _estimate("diffuse_white_target", (0.98, 0.98, 0.98, 0.98, 0.98, 0.98, 0.97), 0.01, Brdf(),
         "Sintered PTFE calibration targets are sold as about 99 % diffuse throughout; handling costs a little."),
-    CatalogueMaterial("retroreflective_sign", (0.45, 0.48, 0.48, 0.40), 0.10, Brdf(0.03, 200.0, retro=0.6),
+    _estimate("retroreflective_sign", (0.45, 0.48, 0.48, 0.48, 0.48, 0.47, 0.40), 0.10, Brdf(0.03, 200.0, retro=0.6),
         "White sheeting looks mid-grey away from the source; glass beads or prisms send most of the rest straight "
         "back. The value is for all directions together."),
+    _measured("roofing_felt", ("SLUM A007",), Brdf(),
+        "Bitumen sheet, as the library calls it.", spread=0.02),
+    _measured("white_concrete", ("SLUM C006",), Brdf(),
+        "Concrete of white cement.", spread=0.06),
+    _measured("ochre_cement", ("SLUM C001",), Brdf(),
+        "Weathered cement, coloured by iron oxide.", spread=0.06),
+    _measured("yellow_brick", ("SLUM B001",), Brdf(),
+        "A yellow cement brick, not a clay one.", spread=0.06),
+    _measured("painted_brick", ("SLUM B012",), Brdf(specular=0.02, exponent=10.0),
+        "Light paint over brick, its colour not stated; the spectrum is warm white.", spread=0.08),
+    _measured("granite", ("SLUM G001",), Brdf(),
+        "Granite with a rough surface; polished slabs are darker and glossy.", spread=0.08),
+    _measured("sandstone", ("SLUM S001",), Brdf(),
+        "A light sandstone; the library's other stones of that kind go from 0.19 to 0.57 at 532 nm.", spread=0.12),
+    _measured("red_roof_tile", ("SLUM R001",), Brdf(),
+        "New red ceramic tile, iron oxide as in brick.", spread=0.06),
+    _measured("black_roof_tile", ("SLUM R007",), Brdf(),
+        "Black ceramic tile: its pigment clears beyond 1000 nm.", spread=0.03),
+    _measured("weathered_roof_tile", ("SLUM R010",), Brdf(),
+        "Ceramic tile that has weathered on a roof.", spread=0.04),
+    _measured("dark_pvc", ("SLUM V001",), Brdf(specular=0.3, exponent=50.0),
+        "Dark plastic sheet; gloss is a large part of the little that it returns.", spread=0.02),
+    _measured("light_grey_pvc", ("SLUM V002",), Brdf(specular=0.06, exponent=50.0),
+        "Light grey plastic sheet.", spread=0.06),
+    _measured("blue_pvc", ("SLUM V004",), Brdf(specular=0.2, exponent=50.0),
+        "Blue plastic sheet: its dye absorbs red and clears before 850 nm.", spread=0.03),
+    _measured("green_painted_metal", ("SLUM Z003",), Brdf(specular=0.3, exponent=50.0),
+        "Sheet metal under green paint.", spread=0.03),
+    _measured("grey_painted_metal", ("SLUM Z005",), Brdf(specular=0.3, exponent=50.0),
+        "Sheet metal under grey paint.", spread=0.04),
+    _measured("copper_patina", ("SLUM Z004",), Brdf(),
+        "Green patina on copper: copper salts absorb red, and their water 1550 nm.", spread=0.06),
+    _measured("weathered_aluminium", ("SLUM Z006",), Brdf(specular=0.4, exponent=15.0),
+        "Aluminium sheet that has been outdoors for long.", spread=0.05),
+    _measured("used_aluminium", ("ECOSTRESS aluminum.metal",), Brdf(specular=0.7, exponent=30.0),
+        "Aluminium that has been in use, between weathered and polished sheet.", spread=0.08),
+    _measured("weathered_iron", ("SLUM Z008",), Brdf(specular=0.2, exponent=10.0),
+        "Iron with a black skin of oxide.", spread=0.02),
+    _measured("light_clay_soil", ("ECOSTRESS light.yellowish.brown.clay",), Brdf(),
+        "Light yellowish brown clay, dry.", spread=0.06),
+    _measured("black_loam_soil", ("ECOSTRESS black.loam",), Brdf(),
+        "Black loam, dry: humus absorbs less and less towards the infrared.", spread=0.03),
+    _measured("green_grass", ("ECOSTRESS grass",), Brdf(specular=0.03, exponent=15.0),
+        "Green grass: chlorophyll and water as in leaves.", spread=0.03),
+    _measured("conifer_leaves", ("ECOSTRESS conifer",), Brdf(specular=0.03, exponent=15.0),
+        "Green needles of conifers, darker than leaves at 1550 nm, where water absorbs.", spread=0.03),
+    _measured("polished_aluminium", ("Fresnel Al", "NASA aluminum"), Brdf(specular=0.95, exponent=1000.0),
+        "Between a clean, smooth surface and a polished sheet in an integrating sphere. Interband absorption near "
+        "830 nm."),
+    _measured("polished_copper", ("Fresnel Cu", "NASA copper"), Brdf(specular=0.95, exponent=1000.0),
+        "Between a clean, smooth surface and a polished sheet in an integrating sphere. Interband absorption below "
+        "580 nm."),
+    _measured("polished_gold", ("Fresnel Au", "NASA gold"), Brdf(specular=0.95, exponent=1000.0),
+        "Between a clean, smooth surface and a polished sheet in an integrating sphere. Interband absorption below "
+        "520 nm."),
+    _measured("polished_silver", ("Fresnel Ag", "NASA silver"), Brdf(specular=0.95, exponent=1000.0),
+        "Between a clean, smooth surface and a polished sheet in an integrating sphere. No interband absorption in "
+        "this range."),
+    _measured("polished_nickel", ("Fresnel Ni", "NASA nickel"), Brdf(specular=0.95, exponent=1000.0),
+        "Between a clean, smooth surface and a polished sheet in an integrating sphere. Interband absorption "
+        "throughout."),
+    _measured("polished_tin", ("NASA tin",), Brdf(specular=0.95, exponent=1000.0),
+        "Polished tin; tinplate shows it.", spread=0.04),
 )
 # fmt: on
 

@@ -107,6 +107,11 @@ def test_api_page_is_current() -> None:
     assert page == TEXTS[ROOT / "docs/api.md"], "docstrings have changed since docs/api.md was written: make docs"
 
 
+def test_materials_page_is_current() -> None:
+    page = runpy.run_path(str(ROOT / "docs/make_materials.py"))["page"]()
+    assert page == TEXTS[ROOT / "docs/materials.md"], "the catalogue has changed since docs/materials.md: make docs"
+
+
 def test_api_page_lists_every_configuration_key() -> None:
     """All keys of the JSON Schema are in the section of their model, or of a model that it inherits from."""
     page = TEXTS[ROOT / "docs/api.md"]

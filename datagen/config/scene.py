@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, largest_count, support, within
@@ -13,6 +13,7 @@ from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, GivenScenes, ImportedCaptures, LCorridor
 from datagen.config.scene_materials import Materials
 from datagen.errors import InputError
+from scene_library.materials import checked_wavelength_nm
 
 
 class SceneConfig(Settings):
@@ -22,8 +23,11 @@ class SceneConfig(Settings):
     contents: Annotated[tuple[Content, ...], Field(max_length=100)] = (Pillar(), Box())
     """The objects in the hidden part."""
     materials: Materials = Materials()
-    wavelength_nm: Annotated[float, Field(ge=500, le=1600)] = 532.0
-    """The laser's wavelength, which decides the albedo of materials taken from the catalogue."""
+    wavelength_nm: Annotated[
+        float, AfterValidator(checked_wavelength_nm), Field(json_schema_extra={"minimum": 532, "maximum": 1550})
+    ] = 532.0
+    """The laser's wavelength, which decides the albedo of materials taken from the catalogue. The catalogue has
+    values at 532, 670, 850, 905, 940, 1064 and 1550 nm and is linear between them."""
     attenuation_per_m: Annotated[Distribution, within(0)] = 0.0
     """Napierian attenuation of the air: a leg of R metres passes exp(−a R). A visibility of 1 km is 0.004."""
     clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02

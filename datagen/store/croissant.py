@@ -42,7 +42,7 @@ _RESPONSIBLE = {
     "rai:dataCollectionType": "Software Collection",
     "rai:dataAnnotationProtocol": "Labels are computed from the geometry of each room.",
     "rai:dataBiases": "Rooms, objects and materials are as likely as the configuration makes them, not as they are "
-    "in buildings. Material values are estimates.",
+    "in buildings. Reflectances of materials are measured or estimated, their glossy lobes estimated.",
     "rai:dataLimitations": "Nothing transmits light; further limits are listed in datagen's README.md. The error of "
     "each transient stands in samples.parquet.",
     "rai:dataUseCases": "To train and compare methods of non-line-of-sight imaging; no substitute for a measurement.",

@@ -214,7 +214,7 @@ def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
             "layout": _layout(rng, kind),
             "contents": contents,
             "materials": {name: _surface(rng) for name in surfaces},
-            "wavelength_nm": float(rng.uniform(500, 1600)),
+            "wavelength_nm": float(rng.uniform(532, 1550)),
             "clearance_m": float(rng.choice([0.001, 0.02, 0.1])),
             "minimum_seen": float(rng.choice([0.0, 0.02, 0.05])),
             # Settings that ask for too much would otherwise take most of the time.

@@ -54,7 +54,11 @@ WHEN_READ: list[tuple[dict[str, Any], str]] = [
     ({"contents": [{"kind": "box", "brdf": {"kind": "catalogue"}}]}, "name one under material"),
     ({"materials": {"walls": {"material": ["pine"]}}}, "walls.material: 'pine' is no material of the catalogue; did"),
     ({"materials": {"walls": {"material": ["concrete"], "albedo": 0.5}}}, "albedo and material are both given"),
-    ({"wavelength_nm": 400}, "scene.wavelength_nm = 400"),
+    (
+        {"wavelength_nm": 400},
+        "scene.wavelength_nm: 400 nm given, and the catalogue of materials covers 532 … 1550",
+    ),
+    ({"wavelength_nm": 1551}, "scene.wavelength_nm: 1551 nm given"),
     (
         {"layout": {"kind": "l_corridor", "relay_wall": {"kind": "curved", "relief_m": 2}}},
         "relief_m: 2 given; must be",

@@ -1,0 +1,63 @@
+"""Writes docs/materials.md, the table of the material catalogue: `make docs`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from scene_library.materials import MATERIALS, CatalogueMaterial
+from scene_library.reflectances import REFUSED, SAMPLES, WAVELENGTHS_NM
+
+PAGE = Path(__file__).with_name("materials.md")
+INTRODUCTION = """\
+# Materials
+
+For everyone who names materials in a configuration. This page is generated from `scene_library/materials.py` by
+`make docs`.
+
+A material's albedo is its hemispherical reflectance at `scene.wavelength_nm`: the mean below, moved by a random tint
+that is uniform within ± the spread (narrowed where it would pass 0 or 100 %). Between the listed wavelengths both are
+linear, which misses what lies between them: the red edge of leaves near 700 nm, and the bands of water near 970 and
+1450 nm. Other wavelengths than 532 to 1550 nm are refused. The lobes (`brdf: {kind: catalogue}`) are estimates for
+every material, the same at every wavelength.
+"""
+MEASURED = """\
+## Measured
+
+The mean of the samples named. The spread is half of their range where there are several, and an estimate for a
+single one. `Fresnel` is the reflectance of a clean, smooth metal at normal incidence, from its optical constants.
+Sources: SLUM, Kotthaus et al., ISPRS J. 94, 194 (2014), doi 10.5281/zenodo.4263842; ECOSTRESS spectral library,
+courtesy of the Jet Propulsion Laboratory; NASA TN D-5353 (1969).
+"""
+ESTIMATED = """\
+## Estimated
+
+No sample of these materials was at hand. `scene_library/materials.py` says what each estimate rests on.
+"""
+
+
+def page() -> str:
+    """The whole page."""
+    rows = MATERIALS.values()
+    measured = _table([row for row in rows if row.origin == "measured"], "samples")
+    estimated = _table([row for row in rows if row.origin == "estimate"])
+    refused = [f"- {name}: {why}." for name, why in REFUSED.items()]
+    refused.insert(0, "## Refused\n\nSamples of the same libraries that the catalogue does not use.\n")
+    return "\n".join([INTRODUCTION, MEASURED, *measured, "", ESTIMATED, *estimated, "", *refused, ""])
+
+
+def _table(rows: list[CatalogueMaterial], last: str = "") -> Iterator[str]:
+    heads = ["`material`", *(f"{wavelength:g} nm" for wavelength in WAVELENGTHS_NM), "spread", last]
+    heads = [head for head in heads if head]
+    yield f"| {' | '.join(heads)} |"
+    yield f"|---|{'---:|' * (len(WAVELENGTHS_NM) + 1)}{'---|' if last else ''}"
+    for row in rows:
+        low, high = (f"{100 * share:.0f}" for share in (min(row.spread), max(row.spread)))
+        spread = f"± {low} %" if low == high else f"± {low} to {high} %"
+        cells = [f"`{row.name}`", *(f"{100 * value:.0f} %" for value in row.reflectance), spread]
+        described = (f"{name} ({SAMPLES[name].description})" for name in row.samples)
+        yield f"| {' | '.join([*cells, '; '.join(described)] if last else cells)} |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
