@@ -17,6 +17,13 @@ from .detector import Pulse as Pulse
 from .detector import Spad as Spad
 from .detector import detect as detect
 from .detector import expected_histogram as expected_histogram
+from .devices import Calibration as Calibration
+from .devices import Device as Device
+from .devices import Frames as Frames
+from .devices import calibrate as calibrate
+from .devices import device as device
+from .devices import read_frames as read_frames
+from .devices import write_device as write_device
 from .effects import Decision as Decision
 from .effects import EffectDecisions as EffectDecisions
 from .effects import plan_effects as plan_effects

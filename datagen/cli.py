@@ -52,6 +52,39 @@ def plan(
 
 
 @cli.command()
+@click.argument("sweep")
+@click.option("--device", "name", required=True, help="What recorded it: a name of the catalogue, or a device file.")
+@click.option("--out", required=True, help="The device file to write, .yaml.")
+@click.option("--albedo", type=float, default=0.8, show_default=True, help="Of the plane.")
+@click.option("--nearest", type=float, default=0.12, show_default=True, help="Distance from which frames count, m.")
+@click.option("--all", "everything", is_flag=True, help="Fit all frames, and keep none back for the test.")
+@click.option("--picture", help="Draw fit and residuals into this file, .png.")
+def calibrate(
+    sweep: str, name: str, out: str, albedo: float, nearest: float, everything: bool, picture: str | None
+) -> None:
+    """Fit a sensor's numbers to SWEEP, its frames before a plane at known distances, and write them as a device."""
+    from datagen.devices import calibrate as fit
+    from datagen.devices import device, read_frames, write_device
+
+    found = fit(read_frames(sweep), device(name), albedo=albedo, held_out=not everything, nearest_m=nearest)
+    click.echo(found.text())
+    write_device(found.device, out)
+    if picture is not None:
+        from datagen.report.calibration_plot import draw_calibration
+
+        draw_calibration(found, picture)
+
+
+@cli.command()
+@click.argument("name")
+def device(name: str) -> None:
+    """Print all numbers of device NAME (of the catalogue, or a file), each with its source."""
+    from datagen.devices import device as named
+
+    click.echo(str(named(name)))
+
+
+@cli.command()
 @click.argument("config")
 @click.argument("out")
 @click.option("--scenes", type=int, help="Instead of the configuration's number; a dataset may grow.")

@@ -1,5 +1,7 @@
 """Sensors that one can buy or that laboratories built, and their calibration from a sweep before a plane."""
 
-from datagen.devices.model import Device, device, device_names
+from datagen.devices.calibrate import Calibration, calibrate
+from datagen.devices.frames import Frames, read_frames
+from datagen.devices.model import Device, device, device_names, write_device
 
-__all__ = ["Device", "device", "device_names"]
+__all__ = ["Calibration", "Device", "Frames", "calibrate", "device", "device_names", "read_frames", "write_device"]

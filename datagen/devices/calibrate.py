@@ -29,6 +29,7 @@ from datagen.devices.frames import Frames
 from datagen.devices.model import Device
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 NEAREST_M = 0.12
@@ -165,6 +166,8 @@ def calibrate(
     ------
     InputError : no distances, another number of zones or bins than the device has, or fewer than 8 usable frames.
     """
+    check_number("calibrate", "albedo", albedo, 1e-3, 1.0, "it is a share of the light")
+    check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
     _, zones, bins = frames.histograms.shape
@@ -252,7 +255,7 @@ class _Fit:
         nominal, shape = self.nominal, self.shape
         width_ps = 2e12 / (SPEED_OF_LIGHT_M_PER_S * shape.bins_per_m)
         zero = float(shape.zero_bins.mean())
-        errors = np.sqrt(np.diag(self.covariance))
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         source = "calibrated from a sweep before a plane"
         radius = nominal.zones.aperture_radius_mm * 1e-3
         # A beam that is even over its field sends the share du / field into du, so that g, the factor before
@@ -280,8 +283,19 @@ class _Fit:
             "sample_ps": round(width_ps / SUBSTEPS, 5), "start_ps": round(start_ps, 3),
         })  # fmt: skip
         sources = dict(nominal.sources) | dict.fromkeys(
-            ("zones.boxes", "zones.blur", "zones.gains", "zones.glass", "zones.delays_ps", "time.bin_width_ps",
-             "time.zero_bin", "pulse", "counting.cycles", "counting.dark_count_rate_hz"), source
+            (
+                "zones.boxes",
+                "zones.blur",
+                "zones.gains",
+                "zones.glass",
+                "zones.delays_ps",
+                "time.bin_width_ps",
+                "time.zero_bin",
+                "pulse",
+                "counting.cycles",
+                "counting.dark_count_rate_hz",
+            ),
+            source,
         )
         sources["counting.photons_per_pulse"] = f"{source}, for its albedo {albedo:g} and the aperture and PDE stated"
         device = nominal.model_copy(update={

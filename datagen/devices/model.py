@@ -240,9 +240,7 @@ class Device(Settings):
         """`folder` depends on the machine."""
         return ("folder",)
 
-    def at(
-        self, position: ArrayLike, toward: ArrayLike, up: ArrayLike = (0, 0, 1)
-    ) -> tuple[Capture, Spad, Exposure]:
+    def at(self, position: ArrayLike, toward: ArrayLike, up: ArrayLike = (0, 0, 1)) -> tuple[Capture, Spad, Exposure]:
         """The device at a place: its capture for `simulate`, and its detector and exposure for `detect`.
 
         Parameters
@@ -279,9 +277,7 @@ class Device(Settings):
         light, zones = self.light, self.zones
         lit_from = place + 1e-3 * (light.baseline_mm[0] * right + light.baseline_mm[1] * above)
         half = [math.tan(math.radians(side) / 2) for side in light.field_deg]
-        grid = Laser.flood(
-            lit_from, lit_from + forward, half[0] * right, half[1] * above, light.rows, light.columns
-        )
+        grid = Laser.flood(lit_from, lit_from + forward, half[0] * right, half[1] * above, light.rows, light.columns)
         weights = None
         if light.spread is not None:
             tangents = (grid.targets - lit_from) @ frame[:2].T

@@ -35,6 +35,7 @@ SCHEMA_VERSIONS = {
     15: "datagen 0.16: with a target other light in some scenes",
     16: "datagen 0.17: with a target other light of meshes",
     17: "datagen 0.18: with a target other light, as elements are chosen without closed surfaces and clusters",
+    18: "datagen 0.19: other albedos of materials; columns detector.tdc_*, bins_merged, effect.tdc_nonlinearity.*",
 }
 """Version of the stored format → the release that introduced it, and how its files, or the scenes of a seed, differ
 from those of the version before (CHANGELOG.md has the details). All versions are read; only the last is written.

@@ -1,0 +1,97 @@
+"""Calibration: a simulated sweep gives its own device back; the real one is fitted as closely as the README says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+
+import datagen as dg
+from datagen.cli import cli
+from datagen.devices import Frames, calibrate
+from datagen.devices.calibrate import saturated, unsaturated
+from datagen.errors import InputError
+
+REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "tmf8820_plane.json.gz"
+real = pytest.mark.skipif(
+    not REAL.is_file(), reason=f"needs the sweep of a real sensor, {REAL.name}, which is not here"
+)
+
+
+@pytest.mark.parametrize("blind", [0.0, 1.0, 3.0])
+def test_saturation_is_undone_exactly(blind: float) -> None:
+    events = np.random.default_rng(0).exponential(0.01, (5, 40))
+    counts = saturated(events, 1e6, blind)
+    np.testing.assert_allclose(unsaturated(counts, 1e6, blind), events, rtol=1e-9)
+
+
+def test_saturation_is_that_of_the_detector() -> None:
+    """A dead time that blinds the next period alone gives N p / (1 + p), as `expected_histogram` has it exactly."""
+    device = dg.device("tmf8820")
+    events = np.zeros(device.axis.bins)
+    events[300:340] = 0.02
+    spad = replace(device.spad, dark_count_rate_hz=0.0, pde=1.0)
+    exposure = replace(device.exposure, photons_per_pulse=1.0, pulse=None)
+    ours = dg.expected_histogram(events, device.axis, spad, exposure)
+    fine = saturated(events, exposure.cycles, 1.0)
+    np.testing.assert_allclose(ours, fine.reshape(-1, spad.bins_merged).sum(axis=1), rtol=1e-6, atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Frames:
+    """60 frames of the catalogue's TMF8820 before a plane of albedo 0.8, with counting noise."""
+    device, distances = dg.device("tmf8820"), np.linspace(0.15, 0.4, 60)
+    rng, histograms = np.random.default_rng(4), []
+    for metres in distances:
+        plane = trimesh.creation.box((0.02, 9, 9), trimesh.transformations.translation_matrix((metres + 0.01, 0, 0)))
+        scene = dg.Scene.from_parts([dg.Part("plane", plane, dg.Lambertian(0.8), role="relay_wall")])
+        capture, spad, exposure = device.at((0, 0, 0), (1, 0, 0))
+        light = dg.simulate(scene, capture, dg.Accuracy(lookins=1, replicates=1, max_bounces=1, direct=True))
+        histograms.append(rng.poisson(dg.expected_histogram(light.total, capture.time, spad, exposure)[0]))
+    return Frames("simulated", np.array(histograms, float), None, distances)
+
+
+def test_a_simulated_sweep_gives_its_device_back(sweep: Frames) -> None:
+    """From a nominal device that is wrong in all that is fitted."""
+    truth = dg.device("tmf8820")
+    wrong = truth.model_copy(update={
+        "time": truth.time.model_copy(update={"bin_width_ps": 97.0, "zero_bin": 13.6}),
+        "counting": truth.counting.model_copy(update={"cycles": 4_000_000, "photons_per_pulse": 1e8}),
+    })  # fmt: skip
+    found = calibrate(sweep, wrong)
+    assert abs(found.device.time.bin_width_ps / truth.time.bin_width_ps - 1) < 0.004
+    assert abs(found.device.counting.cycles / truth.counting.cycles - 1) < 0.05
+    # Only the product with the footprints' gains matters, and those are scaled to the brightest zone.
+    assert abs(found.device.counting.photons_per_pulse / truth.counting.photons_per_pulse - 1) < 0.1
+    assert np.median(found.relative_l2) < 0.02
+    assert np.median(np.abs(found.brightness_error)) < 0.004
+    assert np.median(np.abs(found.peak_shift)) < 0.02
+
+
+def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
+    device = dg.device("tmf8820")
+    for frames, named in (
+        (replace(sweep, distances_m=None), "no distances"),
+        (replace(sweep, histograms=sweep.histograms[:, :4]), "4 zones"),
+        (replace(sweep, distances_m=np.full(60, 0.01)), "at least 8"),
+    ):
+        with pytest.raises(InputError, match=named):
+            calibrate(frames, device)
+
+
+@real
+def test_the_real_sweep_is_fitted_within_what_is_stated(tmp_path: Path) -> None:
+    """Every second distance is kept back, and tested."""
+    found = calibrate(dg.read_frames(REAL), dg.device("tmf8820"), nearest_m=0.15)
+    assert np.median(found.relative_l2) < 0.03
+    assert np.median(np.abs(found.brightness_error)) < 0.008
+    assert np.median(np.abs(found.peak_shift), axis=0).max() < 0.05
+    command = ["calibrate", str(REAL), "--device", "tmf8820", "--out", str(tmp_path / "mine.yaml"), "--picture",
+               str(tmp_path / "fit.png")]  # fmt: skip
+    result = CliRunner().invoke(cli, command)
+    assert result.exit_code == 0 and "relative L2" in result.output
+    assert dg.device(tmp_path / "mine.yaml").time.bins == 128 and (tmp_path / "fit.png").stat().st_size > 10_000
