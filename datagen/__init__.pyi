@@ -19,6 +19,7 @@ from .detector import detect as detect
 from .detector import expected_histogram as expected_histogram
 from .devices import Calibration as Calibration
 from .devices import Device as Device
+from .devices import Fitted as Fitted
 from .devices import Frames as Frames
 from .devices import calibrate as calibrate
 from .devices import device as device

@@ -33,6 +33,7 @@ STAGES = (
     "effects",
     "detector",
     "evidence",
+    "devices",
     "design",
     "building",
     "export",

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 from datagen.errors import InputError
 from datagen.records import Accuracy
-from datagen.records.accuracy import CHOSEN_BY_TARGET, LIMITS, TARGETS, chosen_by_target
+from datagen.records.accuracy import CHOSEN_BY_TARGET, LIMITS, MAX_BOUNCES, TARGETS, chosen_by_target
 
 
 def _within(name: str) -> Any:
@@ -25,7 +25,7 @@ class TransportConfig(Settings):
     """Rays from each laser point into the scene: the number of hidden vertices."""
     fov_samples: Annotated[int, _within("fov_samples")] = int(Accuracy.fov_samples)
     """FoV points that each vertex of a light path connects to, per pixel."""
-    max_bounces: Annotated[int, _within("max_bounces")] | None = Accuracy.max_bounces
+    max_bounces: Annotated[int, Field(ge=3, le=MAX_BOUNCES)] | None = Accuracy.max_bounces
     """Highest number of bounces; 3 is the primary, 4 adds the secondary; null: all."""
     replicates: Annotated[int, _within("replicates")] = int(Accuracy.replicates)
     """Independent randomisations, from which the standard error comes."""

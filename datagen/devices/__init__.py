@@ -1,7 +1,17 @@
 """Sensors that one can buy or that laboratories built, and their calibration from a sweep before a plane."""
 
-from datagen.devices.calibrate import Calibration, calibrate
+from datagen.devices.calibrate import Calibration, Fitted, calibrate
 from datagen.devices.frames import Frames, read_frames
 from datagen.devices.model import Device, device, device_names, write_device
 
-__all__ = ["Calibration", "Device", "Frames", "calibrate", "device", "device_names", "read_frames", "write_device"]
+__all__ = [
+    "Calibration",
+    "Device",
+    "Fitted",
+    "Frames",
+    "calibrate",
+    "device",
+    "device_names",
+    "read_frames",
+    "write_device",
+]

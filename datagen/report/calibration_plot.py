@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from datagen.devices import Calibration
-from datagen.errors import InputError
-from datagen.report.style import EXPECTED, INK
+from datagen.report.style import EXPECTED, INK, check_png, save_png
 
 
 def draw_calibration(found: Calibration, path: str | Path) -> None:
@@ -36,7 +35,4 @@ def draw_calibration(found: Calibration, path: str | Path) -> None:
         axes.plot(found.tested_m, values, ".", ms=4)
         axes.set(xlabel="distance of the plane (m)", ylabel=label)
     figure.suptitle(f"{found.device.name}: frames that the fit did not see, a colour a zone")
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: the picture cannot be written ({error}); name a .png") from None
+    save_png(figure, check_png(path))
