@@ -66,6 +66,11 @@ def calibrate(
     from datagen.devices import calibrate as fit
     from datagen.devices import device, read_frames, write_device
 
+    if picture is not None:
+        # A wrong name of the picture is found before the device file is written.
+        from datagen.report.style import check_png
+
+        check_png(picture)
     found = fit(read_frames(sweep), device(name), albedo=albedo, held_out=not everything, nearest_m=nearest)
     click.echo(found.text())
     write_device(found.device, out)

@@ -20,7 +20,7 @@ from datagen.config.scene import SceneConfig
 from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
-from datagen.config.yaml_text import MOST_CHARACTERS, parse_yaml
+from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records.checks import check_kind
 
@@ -90,16 +90,8 @@ def load_config(path: str | Path) -> DatasetConfig:
     """
     check_kind("path", path, str, os.PathLike, remedy="name a YAML file")
     path = Path(path)
-    try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_CHARACTERS + 1)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; name a configuration such as configs/quickstart.yaml") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a directory; name a YAML file in it") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text ({error})") from None
-    return config_from_mapping(parse_yaml(text, str(path)), source=str(path), base_directory=path.parent)
+    values = read_yaml(path, "name a configuration such as configs/quickstart.yaml")
+    return config_from_mapping(values, source=str(path), base_directory=path.parent)
 
 
 def config_from_mapping(

@@ -4,6 +4,7 @@ the line named in errors."""
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -76,6 +77,21 @@ def _count(node: Any, source: str) -> None:
 
     if node is not None and size(node) >= MOST_NODES:
         raise InputError(f"{source}: aliases make it hold {MOST_NODES} values or more; write out what they stand for")
+
+
+def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
+    """The mapping that a file holds; raises `InputError` for a file that is missing, which `remedy` ends, or that is
+    no UTF-8 text, and as `parse_yaml`."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            text = file.read(MOST_CHARACTERS + 1)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; {remedy}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a directory; name a YAML file in it") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as UTF-8 text ({error})") from None
+    return parse_yaml(text, str(path))
 
 
 def parse_yaml(text: str, source: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ Not modelled:
 - recovery of the PDE after the dead time: the diode is back at full sensitivity at once;
 - twilight pulses: an avalanche that begins while the diode is being armed is recorded like any other;
 - gate memory: photons that arrive before the gate opens have no effect on it;
-- nonlinearity of the TDC: all bins have the same width;
 - photons outside the time axis: a direct return before its start, or light after its end, causes no dead time.
 """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -18,6 +17,7 @@ from datagen.detector.expected import (
     mean_detections,
     saturated_mean,
 )
+from datagen.detector.flux import N
 from datagen.detector.measurement import Measurement
 from datagen.detector.random_numbers import Stream, draw_poisson, streams_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
@@ -25,8 +25,6 @@ from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import check_number, shown
-
-N = TypeVar("N", bound=np.generic)
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.integer]

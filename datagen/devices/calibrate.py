@@ -176,6 +176,10 @@ def calibrate(
             f"{frames.source}: {zones} zones of {bins} bins, {device.name} has {device.zones.count} of "
             f"{device.time.bins}; name the device that recorded it"
         )
+    if device.zones.map is not None:
+        raise InputError(
+            f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"
+        )
     z = frames.distances_m
     usable = np.flatnonzero((z >= nearest_m) & (z <= FARTHEST_M))
     usable = usable[np.argsort(z[usable], kind="stable")]

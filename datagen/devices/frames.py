@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import json
+import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,10 @@ from datagen.records.arrays import Floats
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
 MOST_BYTES = 2**31
 """Largest file that is read, 2 GiB. Halved, sweeps of half the length are refused."""
+DAMAGED = (
+    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What readers raise for a file that is damaged or of another kind."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +66,16 @@ def read_frames(path: str | Path) -> Frames:
         raise InputError(f"{path}: its suffix says no format of frames; they are {', '.join(SUFFIXES)}")
     try:
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
-    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise InputError(f"{path}: holds no frames of a sensor ({error})") from None
     frames = Frames(path.name, **found)
     counts = frames.histograms
@@ -94,10 +109,11 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _numpy(path: Path) -> dict[str, Any]:
-    loaded = np.load(path)
-    if isinstance(loaded, np.ndarray):
-        return {"histograms": loaded.astype(np.float64)}
     names = {"poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist"}
-    with loaded:
+    # A file that numpy opens itself stays open where it turns out to be damaged.
+    with path.open("rb") as file:
+        loaded = np.load(file)
+        if isinstance(loaded, np.ndarray):
+            return {"histograms": loaded.astype(np.float64)}
         optional = {name: np.asarray(loaded[key], np.float64) for name, key in names.items() if key in loaded}
         return {"histograms": np.asarray(loaded["hists"], np.float64), **optional}

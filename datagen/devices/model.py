@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import zipfile
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -18,12 +19,13 @@ from pydantic import Field, ValidationError, model_validator
 from scipy.special import ndtr
 
 from datagen.config.base import Settings, near_hint, raise_input_error
-from datagen.config.yaml_text import parse_yaml
+from datagen.config.yaml_text import read_yaml
 from datagen.detector import Exposure, Pulse, Spad
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_points
+from datagen.store.files import write_atomically
 
 FOLDER = Path(__file__).parent / "catalogue"
 FOOTPRINT_CELLS = 24
@@ -363,8 +365,6 @@ def device(name: str | Path) -> Device:
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
-        if not path.is_file():
-            raise InputError(f"{path}: no such file; name a device file, or one of {', '.join(device_names())}")
         return read_device(path)
     if str(name) not in device_names():
         raise InputError(
@@ -382,7 +382,7 @@ def device_names() -> tuple[str, ...]:
 
 def read_device(path: Path) -> Device:
     """The device of a file; raises `InputError` with the key that is wrong."""
-    values = parse_yaml(path.read_text(), str(path))
+    values = read_yaml(path, f"name a device file, or one of {', '.join(device_names())}")
     values["folder"] = str(path.parent)
     try:
         return Device.model_validate_json(json.dumps(values))
@@ -400,11 +400,9 @@ def write_device(device: Device, path: str | Path) -> None:
         raise InputError(f"{path}: a device file ends in .yaml; name it so")
     values = json.loads(device.model_dump_json(exclude_defaults=True))
     text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=118)
-    partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        write_atomically(path, text.encode())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from None
 
@@ -427,9 +425,9 @@ def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:
 def _read_map(path: Path, zones: int) -> tuple[Floats, Floats]:
     """Extent (4,) and weights (zones, rows, columns) of a measured map; raises `InputError` where it is none."""
     try:
-        with np.load(path) as file:
+        with path.open("rb") as opened, np.load(opened) as file:
             extent, weights = np.asarray(file["extent"], float), np.asarray(file["weights"], float)
-    except (OSError, KeyError, ValueError) as error:
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"zones.map: {path}: {error}; an .npz with extent and weights is needed") from None
     good = extent.shape == (4,) and extent[0] < extent[1] and extent[2] < extent[3] and weights.ndim == 3
     if not good or (zones > 1 and len(weights) != zones) or not (np.isfinite(weights) & (weights >= 0)).all():

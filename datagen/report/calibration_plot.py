@@ -5,16 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from datagen.devices import Calibration
-from datagen.report.style import EXPECTED, INK, check_png, save_png
+from datagen.report.style import EXPECTED, INK, check_png, new_figure, save_png
 
 
 def draw_calibration(found: Calibration, path: str | Path) -> None:
     """Write the picture as .png: top, each zone's histogram in the nearest, middle and farthest tested frame; below,
     errors of brightness, peak and histogram over distance. Raises `InputError` where it cannot be written."""
-    figure = Figure(figsize=(12, 8), layout="constrained")
+    figure = new_figure(12, 8)
     rows = figure.subplots(2, 3)
     order = np.argsort(found.tested_m)
     for axes, frame in zip(rows[0], order[[0, len(order) // 2, -1]], strict=True):
@@ -34,5 +33,5 @@ def draw_calibration(found: Calibration, path: str | Path) -> None:
     for axes, (values, label) in zip(rows[1], shown, strict=True):
         axes.plot(found.tested_m, values, ".", ms=4)
         axes.set(xlabel="distance of the plane (m)", ylabel=label)
-    figure.suptitle(f"{found.device.name}: frames that the fit did not see, a colour a zone")
+    figure.suptitle(f"{found.device.name}: the tested frames, a colour a zone below")
     save_png(figure, check_png(path))

@@ -74,6 +74,9 @@ def test_a_simulated_sweep_gives_its_device_back(sweep: Frames) -> None:
 
 def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
     device = dg.device("tmf8820")
+    zones = device.zones.model_copy(update={"boxes": (), "map": "map.npz", "rows": 3, "columns": 3})
+    with pytest.raises(InputError, match="a measured map is not fitted"):
+        calibrate(sweep, device.model_copy(update={"zones": zones}))
     for frames, named in (
         (replace(sweep, distances_m=None), "no distances"),
         (replace(sweep, histograms=sweep.histograms[:, :4]), "4 zones"),
@@ -92,6 +95,8 @@ def test_the_real_sweep_is_fitted_within_what_is_stated(tmp_path: Path) -> None:
     assert np.median(np.abs(found.peak_shift), axis=0).max() < 0.05
     command = ["calibrate", str(REAL), "--device", "tmf8820", "--out", str(tmp_path / "mine.yaml"), "--picture",
                str(tmp_path / "fit.png")]  # fmt: skip
+    wrong = CliRunner().invoke(cli, [*command[:-1], str(tmp_path / "fit.jpg")])
+    assert isinstance(wrong.exception, InputError) and not (tmp_path / "mine.yaml").exists()
     result = CliRunner().invoke(cli, command)
     assert result.exit_code == 0 and "relative L2" in result.output
     assert dg.device(tmp_path / "mine.yaml").time.bins == 128 and (tmp_path / "fit.png").stat().st_size > 10_000

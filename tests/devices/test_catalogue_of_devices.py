@@ -84,6 +84,10 @@ def test_a_measured_map_is_a_footprint(tmp_path: Path) -> None:
         ("4 × 4 matrix", lambda folder: dg.device("tmf8820").at_pose(np.eye(3))),
         ("ends in .yaml", lambda folder: dg.write_device(dg.device("tmf8820"), folder / "mine.txt")),
         ("holds no frames", lambda folder: dg.read_frames(_written(folder / "a.json", "{}"))),
+        ("holds no frames", lambda folder: dg.read_frames(_written(folder / "a.npz", "PK\x03\x04 cut off"))),
+        ("holds no frames", lambda folder: dg.read_frames(_written(folder / "a.json.gz", "\x1f"))),
+        ("cannot be read as UTF-8", lambda folder: dg.device(_written(folder / "latin.yaml", b"name: \xe9"))),
+        ("is a directory", lambda folder: dg.device(_folder(folder / "d.yaml"))),
         ("'pose' is in 1 of 2", lambda folder: dg.read_frames(
             _written(folder / "b.json", '[{"hists": [[1]], "pose": [[1]]}, {"hists": [[1]]}]'))),
         ("exactly one of boxes", lambda folder: dg.device(_written(
@@ -98,6 +102,11 @@ def test_wrong_values_are_refused_in_a_line(tmp_path: Path, message: str, make: 
     assert "\n" not in str(caught.value)
 
 
-def _written(path: Path, text: str) -> Path:
-    path.write_text(text)
+def _written(path: Path, text: str | bytes) -> Path:
+    path.write_bytes(text if isinstance(text, bytes) else text.encode("latin-1"))
+    return path
+
+
+def _folder(path: Path) -> Path:
+    path.mkdir()
     return path
