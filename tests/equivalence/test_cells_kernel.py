@@ -135,11 +135,11 @@ def touching() -> Scene:
     ids=lambda given: getattr(given, "__name__", "of rays"),
 )  # fmt: skip
 @pytest.mark.parametrize("half_side_m", [1e-3, 0.2])
-def test_proofs_save_rays_and_change_nothing(
+def test_proofs_save_rays_and_change_little(
     scene: Callable[[], Scene], share: float, half_side_m: float
 ) -> None:  # fmt: skip
     """The light of each part with rays saved is that with all rays cast, apart from a rare element that the three
-    rays miss."""
+    rays miss, and from what elements that are not proven to be clear gain by being cut finer."""
     room = scene()
     capture = one_point_capture(
         (0, -0.3, 0.5), (0, 0.4, 0.6), half_side_m, bins_of_path(200, 0.02, 0.0), (0.4, 0.1, 0.9)
@@ -148,8 +148,8 @@ def test_proofs_save_rays_and_change_nothing(
     plain, _, all_rays = histograms(room, capture, "on", 1e-3)
     norm = np.linalg.norm(plain, axis=(0, 2))
     assert norm.max() > 0
-    # The error that one element may make.
-    assert (np.linalg.norm(fast - plain, axis=(0, 2)) <= 1e-3 * np.maximum(norm, 1e-3 * norm.max())).all()
+    # The error that ten elements may make.
+    assert (np.linalg.norm(fast - plain, axis=(0, 2)) <= 1e-2 * np.maximum(norm, 1e-3 * norm.max())).all()
     assert rays < share * all_rays
 
 

@@ -49,8 +49,9 @@ SETTLED = 0.3
 """Error of one of G groups, relative to 1/√G of the error asked of the whole, below which the group is not cut more
 finely for the sake of the whole. Half of it cuts groups further that hardly contribute to the error."""
 UNSEEN, UNSEEN_BY_RAYS = 1e-4, 1e-2
-"""Least norm, relative to the whole, that a group is taken to have when its cutting is chosen; and the same for a
-group whose light comes by rays, where half of it sends twice as many rays to what may turn out to be hidden."""
+"""Least norm, relative to the whole, that a group is taken to have when its cutting is chosen, until its light is
+found (half of it begins with finer elements on what may turn out to be hidden); and the same for a group whose light
+comes by rays, where half of it sends twice as many rays."""
 NEGLIGIBLE, NEGLIGIBLE_BY_RAYS = 1e-9, 1e-5
 """Norm of a part, relative to the whole, up to which no error is claimed for the part's light, because the finest of
 `LEVELS` cuttings does not resolve it; and the same for a mesh whose light comes by rays, which hardly ever meet
@@ -365,7 +366,10 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
         group_error, last = _group_errors(runs.histograms, finest), len(runs.histograms) > LEVELS
         # The error of a group need not be known where the group is too faint to matter to anything asked.
         matters = (claimed & ~runs.too_dear) | (group_norm > request.target * norm)
-        known = runs.comparable(share / FINER * np.maximum(group_norm, unseen * norm)) | ~matters | last
+        # While single elements may err by more than all the light of a faint object, two runs agree by chance. Few
+        # rays meet a faint mesh, but each of these then errs by little: their runs are comparable sooner.
+        least = np.where(claimed & ~by_rays, 0.0, unseen * norm)
+        known = runs.comparable(share / FINER * np.maximum(group_norm, least)) | ~matters | last
         meets = (group_error <= WITHIN * limit) & known & ~(claimed & runs.too_dear)
         most = WITHIN * request.target * norm
         level, error = runs.levels(meets, group_error, claimed, most)

@@ -13,11 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.compiled import compiled
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
-from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.sampling import mix, scrambled_sobol, stream_seeds
 from datagen.transport.visibility.raycast import Raycaster
 
 BENT = 0.02
@@ -128,6 +129,18 @@ class Patches(NamedTuple):
             position, normal, to_sensor, part, weight, most_weight, footprint, leg, size, across, uneven, quarters,
             fraction,
         )  # fmt: skip
+
+
+@compiled()
+def finest_within(quarters, q, word):  # type: ignore[no-untyped-def]
+    """Index of one of the finest footprints within footprint q, at random; q itself if it has no quarters.
+
+    quarters : (Q, 4) as in `Patches`. word : random word.
+    """
+    while quarters[q, 0] >= 0:
+        word = mix(word, np.uint64(q))
+        q = quarters[q, np.int64(word & np.uint64(3))]
+    return q
 
 
 def at_edges(caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones) -> Bools:

@@ -220,7 +220,7 @@ class Gathering:
     def ray_levels(self) -> int:
         """Times that pixels must be quartered so that they have footprints as small as `ray_footprint`."""
         meshes, even, patches = np.flatnonzero(self.by_rays), ~self.at_edge, self.task.patches
-        if not (len(meshes) and even.any()):
+        if not (len(meshes) and even.any()) or self.as_points:
             return 0
         middle, radius = self.outlines.middle[meshes], self.outlines.radius[meshes]
         near = np.linalg.norm(patches.center[even, None] - middle, axis=2) - radius
@@ -228,7 +228,20 @@ class Gathering:
         wanted = (
             2.0 * patches.radius[even] <= self.ray_footprint * near.min(axis=1) * 2.0 ** np.arange(LEVEL)[:, None]
         )
-        return int((~wanted.all(axis=1)).sum())
+        # In a confocal pixel shadow rays go to its quarters, for its middle sees whatever the laser point lights.
+        return max(int((~wanted.all(axis=1)).sum()), int(self.task.capture.pairing == "confocal"))
+
+    @cached_property
+    def pixel_size(self) -> float:
+        """Largest size of some pixels that see one flat surface, metres."""
+        even = np.flatnonzero(~self.at_edge)
+        return float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
+
+    @property
+    def as_points(self) -> bool:
+        """Whether pixels that see one flat surface are so small that they count as points."""
+        at_once = self.pixel_size * self.clock.per_metre <= AT_ONCE
+        return at_once and self.pixel_size <= TINY * self.tree.extent * self.width.min()
 
     @property
     def lobed(self) -> bool:
@@ -238,11 +251,10 @@ class Gathering:
     def levels(self) -> int:
         """Most times that pixels which see one flat surface are quartered: once more than brings the size of their
         footprints down to one bin."""
-        even = np.flatnonzero(~self.at_edge)
-        size = float(patches_of(self.task, even[:: len(even) // SIZED + 1], 0).size.max(initial=0.0))
-        if size * self.clock.per_metre <= AT_ONCE and size <= TINY * self.tree.extent * self.width.min():
+        if self.as_points:
             return 0
-        return max(int(np.clip(math.ceil(math.log2(size * self.clock.per_metre)) + 1, *LEVELS)), self.ray_levels())
+        levels = math.ceil(math.log2(self.pixel_size * self.clock.per_metre)) + 1
+        return max(int(np.clip(levels, *LEVELS)), self.ray_levels())
 
     def edge_levels(self) -> int:
         """Times that pixels which see more than one surface are quartered in the first trial."""

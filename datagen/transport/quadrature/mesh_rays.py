@@ -30,7 +30,8 @@ from datagen.transport.brdf import dot, in_frame_of
 from datagen.transport.geometry import corner, distance, get, put, subtract, unit
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.quadrature.arrival_times import spread, widened
-from datagen.transport.quadrature.weights import footprint_variance, weight
+from datagen.transport.quadrature.footprints import finest_within
+from datagen.transport.quadrature.weights import path_changes, weight
 from datagen.transport.sampling import mix, word_of
 from datagen.transport.visibility.raycast import Raycaster
 
@@ -55,6 +56,12 @@ their corners get rays that carry little."""
 GRAZING = 0.05
 """Least cosine that is assumed for the light that a ray carries. Half of it changes little, because it only sets how
 many rays are sent."""
+WITHIN = 0.25
+"""Distance of the laser point from the middle of a footprint, relative to the footprint's size, up to which the laser
+point counts as lying within it. Half of it leaves out laser points between the middle and a corner."""
+FEW_BINS = 1.0
+"""Bins over which the light of a footprint arrives up to which only their mean and variance count. Half of it changes
+little; with twice as much, steps of the signal of a large pixel near a mesh are smeared."""
 LEVEL, EDGE_LEVEL = 4, 3
 """Most times that a pixel is quartered for connections with what rays meet (with half as many, pixels 20 cm wide see
 a mesh beside them too coarsely); and times that a footprint with an edge is quartered before one random point stands
@@ -123,7 +130,8 @@ class Connections(NamedTuple):
     Attributes
     ----------
     photons : (n,) light by way of each connection, if nothing hides it, per photon emitted.
-    arrival, variance : (n,) its mean arrival time, bins, and variance, bins².
+    arrival, variance : (n,) its mean arrival time, bins, and variance over the ray's cell of the lattice, bins².
+    across : (n, 2) change of its arrival time along the two sides of the footprint, bins.
     part, into : (n,) index of the mesh, and row of the histogram.
     start, end : (n, 3) ends of the shadow ray, a little above the surfaces, metres.
     needs_ray : (n,) whether a shadow ray has to be cast.
@@ -132,6 +140,7 @@ class Connections(NamedTuple):
     photons: Floats
     arrival: Floats
     variance: Floats
+    across: Floats
     part: Ints
     into: Ints
     start: Floats
@@ -144,7 +153,8 @@ class Connections(NamedTuple):
         photons, arrival, variance = np.empty((3, count))
         part, into = np.empty((2, count), np.int64)
         start, end = np.empty((2, count, 3))
-        return cls(photons, arrival, variance, part, into, start, end, np.empty(count, np.bool_))
+        across = np.empty((count, 2))
+        return cls(photons, arrival, variance, across, part, into, start, end, np.empty(count, np.bool_))
 
 
 def gather_by_rays(  # type: ignore[no-untyped-def]
@@ -338,15 +348,18 @@ def _connect(  # type: ignore[no-untyped-def]
             # A cell on a surface seen edge-on would reach far beyond the mesh.
             one = min(abs(size * (dot(h, along) + dot(h, d) * dot(n, along) / steep)), reach)
             other = min(abs(size * (dot(h, across) + dot(h, d) * dot(n, across) / steep)), reach)
-            variance = (one * one + other * other) / 12 + footprint_variance(
-                back3, seen[2], clock.device, patches.across, p, q
-            )
+            u, v = path_changes(back3, seen[2], clock.device, patches.across, p, q)
             device = lasers.leg[i] + patches.leg[p, q] if clock.device else 0.0
             connections.photons[m] = w * area * lasers.power[i] * patches.weight[p, q] * stands_for
             connections.arrival[m] = (r1 + r3 + device) * clock.per_metre - clock.start
-            connections.variance[m] = variance * clock.per_metre * clock.per_metre
+            connections.variance[m] = (one * one + other * other) / 12 * clock.per_metre * clock.per_metre
+            connections.across[m, 0], connections.across[m, 1] = u * clock.per_metre, v * clock.per_metre
             connections.part[m], connections.into[m] = k, tally.row_of_pair[pair] + tally.row_of_part[k]
-            # The point of a confocal pixel that is the laser point sees whatever the laser point lights.
+            # The laser point sees whatever it lights, but other points of a footprint around it may not: a random one
+            # of these stands for all.
+            if distance(x, z) <= WITHIN * patches.size[p, q]:
+                here = finest_within(patches.quarters, q, mix(word, np.uint64(2 + j)))
+                z, n3 = corner(patches.position, p, here), corner(patches.normal, p, here)
             connections.needs_ray[m] = scan.cutting.rays_on_last_leg and distance(x, z) > scan.occluders.flat
             for a in range(3):
                 connections.start[m, a], connections.end[m, a] = y[a] + offset * n[a], z[a] + offset * n3[a]
@@ -370,10 +383,9 @@ def _points(patches, p, y, footprint_ratio, word, chosen, waiting):  # type: ign
         finest, stands_for, edge = quarters[q, 0] < 0, 1, patches.uneven[p, q]
         if edge and not finest and level == EDGE_LEVEL:
             # Areas on both sides of an edge need many points: one of its finest footprints, at random, stands for it.
-            while quarters[q, 0] >= 0:
-                word = mix(word, np.uint64(q))
-                q, stands_for = quarters[q, np.int64(word & np.uint64(3))], 4 * stands_for
-            finest = True
+            whole, word = q, mix(word, np.uint64(q))
+            q = finest_within(quarters, q, word)
+            stands_for, finest = np.int64(patches.fraction[whole] / patches.fraction[q]), True
         fine = not edge and (
             level >= LEVEL or patches.size[p, q] <= footprint_ratio * distance(y, corner(patches.position, p, q))
         )
@@ -395,6 +407,13 @@ def _add_light(connections, count, tally):  # type: ignore[no-untyped-def]
         tally.work[connections.part[m], 1] += connections.needs_ray[m]
         if connections.photons[m] > 0.0:
             tally.work[connections.part[m], 0] += 1
-            t, into = connections.arrival[m], connections.into[m]
-            a, b, c = widened(t, t, t, connections.variance[m])
-            tally.overflow[into] += spread(tally.histogram, into, a, b, c, 1.0, 1.0, 1.0, connections.photons[m])
+            t, into, photons = connections.arrival[m], connections.into[m], connections.photons[m]
+            u, v, variance = connections.across[m, 0], connections.across[m, 1], connections.variance[m]
+            if abs(u) + abs(v) <= FEW_BINS:
+                a, b, c = widened(t, t, t, variance + (u * u + v * v) / 12)
+                tally.overflow[into] += spread(tally.histogram, into, a, b, c, 1.0, 1.0, 1.0, photons)
+                continue
+            # The footprint is two triangles, over which arrival times are linear.
+            for sign in (-0.5, 0.5):
+                a, b, c = widened(t + sign * (u + v), t + sign * (u - v), t - sign * (u - v), variance)
+                tally.overflow[into] += spread(tally.histogram, into, a, b, c, 1.0, 1.0, 1.0, 0.5 * photons)

@@ -60,14 +60,15 @@ from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, 
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256
 """Expected error of an element, relative to its light: of an element that a single shadow ray decides, on a part of
-up to `MESH` triangles and on a larger part (`PARTLY`); and of an element of which three shadow rays found nothing
-(`UNFOUND`). On parts of few triangles most elements are proven clear, and those that are left are often partly
+up to `MESH` triangles and on a larger part (`PARTLY`); and of an element of which three shadow rays found nothing, or
+all (`UNFOUND`). On parts of few triangles most elements are proven clear, and those that are left are often partly
 hidden. On meshes hardly anything is proven, but few elements are partly hidden, and their errors have both signs,
 because rays go to random points: twice the second number takes up to a third more rays, half of it as many. Half of
-`UNFOUND` may miss more of what is seen through gaps."""
+`UNFOUND` may miss more of what is seen through gaps, and more thin things that hide something."""
 STILL_UNFOUND = 0.5
-"""Factor by which `UNFOUND` falls with each halving after which again no ray finds anything: what lies deep behind a
-mesh cannot be proven hidden, and is not searched as finely as the edge of a shadow. Half of it searches less."""
+"""Factor by which `UNFOUND` falls with each halving after which rays again find nothing, or all: what lies deep
+behind a mesh cannot be proven hidden, and is not searched as finely as the edge of a shadow. Half of it searches
+less."""
 PLACES = 2.0**20
 """Steps along the scene's size to which positions are rounded before they seed an element's random points. Half of
 it lets twice as many elements along a line have the same points."""
@@ -77,10 +78,11 @@ that an element may make, and to the upper bound of all the part's light."""
 CROSSED = 0.05
 """Change of a lobe over a footprint, relative to the lobe, up to which the footprint's middle stands for it. Half of
 it changes little: boxes then take turns with quarters at one level more."""
-DROPPED, OPENED, QUARTERED, ONE_POINT, CUT, CLEAR, SPREAD = range(7)
+DROPPED, OPENED, QUARTERED, IN_TURN, ONE_POINT, CUT, CLEAR, SPREAD = range(8)
 """What becomes of a box or element: it brings no light; what is in the box is put on the stack; it is put on the
-stack once for each quarter of the footprint; one random point stands for the box; the element is halved; it waits
-on the stack of clear elements; its light is added to the histogram."""
+stack once for each quarter of the footprint, or once for a quarter, chosen in turn, that stands for all four; one
+random point stands for the box; the element is halved; it waits on the stack of clear elements; its light is added
+to the histogram."""
 STEP = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True}
 """How the steps of `_gather_part` are compiled. Calls would cost more than many of them; without `_nrt=False` arrays
 are counted in and out of every function, a third of the time; and wrappers for callers in Python take most of the
@@ -260,8 +262,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
         becomes, only = SPREAD, -1
         if what == BOX:
             becomes = _of_box(scan, lit, view, at, k)
-            if becomes == ONE_POINT and _lobe_crosses(view, tree.box, at):
-                # The footprint's middle errs alike for all boxes: a quarter, chosen in turn, stands for all four.
+            if becomes == IN_TURN:
                 becomes, only, turn = QUARTERED, _digit(turn, share), turn + (share == 1.0)
             if becomes == ONE_POINT:
                 counted, asked = _one_point(scan, lit, view, at, k, candidates, room.listed, tally, into)
@@ -364,7 +365,7 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
 
 @compiled(**STEP)
 def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
-    """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED or ONE_POINT."""
+    """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED, IN_TURN or ONE_POINT."""
     tree, x, z = scan.tree, lit.x, view.z
     rise1, rise3 = above(tree.box, at, x, lit.normal), above(tree.box, at, z, view.normal)
     # A large footprint may see what lies behind the plane of its middle.
@@ -395,15 +396,10 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
         small = at_most <= view.allowed and 2.0 * h <= COARSEST * near3
     if small and view.quarters and view.size > 0.3 * near3:
         return QUARTERED
+    if small and view.quarters and view.keen > 1.0 and view.keen * view.size * view.size > CROSSED * near3 * near3:
+        # A lobe changes over the footprint, whose middle would err alike for all boxes.
+        return IN_TURN
     return ONE_POINT if small else OPENED
-
-
-@compiled(**STEP)
-def _lobe_crosses(view, box, at):  # type: ignore[no-untyped-def]
-    """Whether a lobe on the path may change over a footprint that has quarters, as seen from box `at`."""
-    m, h = bounding_sphere(box, at)
-    near = max(distance(m, view.z) - h, 0.0)
-    return view.quarters and view.keen > 1.0 and view.keen * view.size * view.size > CROSSED * near * near
 
 
 @compiled(**STEP)
@@ -527,11 +523,13 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
     seen, rays = _points_seen(scan, lit, view, element, count, candidates, room, top)
     if count == 1:
         return SPREAD if seen > 0 else DROPPED, rays
-    # Some of the element may be seen although three rays found nothing: it is halved if that might be too much.
-    cut = 0 < seen < 3 or (seen == 0 and cell[top, 17] * at_stake > view.allowed)
+    # Some of the element may be seen although three rays found nothing, and some of it hidden although all three
+    # found it: it is halved if that might be too much. If it were halved in one of the two cases only, errors of
+    # elements across the edges of shadows would not cancel.
+    cut = 0 < seen < 3 or cell[top, 17] * at_stake > view.allowed
     if seen == 0 and (not cut or _proven_hidden(scan, lit, view, element, candidates, room, top)):
         return DROPPED, rays
-    cell[top, 17] = STILL_UNFOUND * cell[top, 17] if seen == 0 else UNFOUND
+    cell[top, 17] = UNFOUND if 0 < seen < 3 else STILL_UNFOUND * cell[top, 17]
     return CUT if cut else SPREAD, rays
 
 

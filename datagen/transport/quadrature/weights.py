@@ -168,10 +168,17 @@ def footprint_variance(d3, to_sensor, device, across, p, q):  # type: ignore[no-
     d3 : vector from the footprint to the element, metres. to_sensor : unit direction to the sensor. device : whether
     the leg to the sensor counts. across : (P, Q, 2, 3) sides of the footprints, metres.
     """
+    one, two = path_changes(d3, to_sensor, device, across, p, q)
+    return one * one / 12 + two * two / 12
+
+
+@compiled()
+def path_changes(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
+    """Change of the path along the two sides of footprint q of row p, metres; arguments: `footprint_variance`."""
     towards = to_sensor if device else (0.0, 0.0, 0.0)
     sides = (across[p, q, 0, 0], across[p, q, 0, 1], across[p, q, 0, 2])
     others = (across[p, q, 1, 0], across[p, q, 1, 1], across[p, q, 1, 2])
-    return path_variance(d3, math.sqrt(dot(d3, d3)), towards, sides, others)
+    return _changes(d3, math.sqrt(dot(d3, d3)), towards, sides, others)
 
 
 @compiled()
@@ -181,10 +188,16 @@ def path_variance(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-de
     d3, r3 : vector from the footprint to the element, and its length, metres. to_sensor : unit direction to the
     sensor, zeros if that leg does not count. side, other : sides of the footprint, metres.
     """
+    one, two = _changes(d3, r3, to_sensor, side, other)
+    return one * one / 12 + two * two / 12
+
+
+@compiled()
+def _changes(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
+    """Change of the path along two sides of a footprint, metres; arguments as of `path_variance`."""
     per = 1.0 / r3
     g = (d3[0] * per + to_sensor[0], d3[1] * per + to_sensor[1], d3[2] * per + to_sensor[2])
-    one, two = dot(g, side), dot(g, other)
-    return one * one / 12 + two * two / 12
+    return dot(g, side), dot(g, other)
 
 
 @compiled()
