@@ -18,12 +18,16 @@ from .detector import Spad as Spad
 from .detector import detect as detect
 from .detector import expected_histogram as expected_histogram
 from .devices import Calibration as Calibration
+from .devices import Comparison as Comparison
 from .devices import Device as Device
 from .devices import Fitted as Fitted
 from .devices import Frames as Frames
 from .devices import calibrate as calibrate
+from .devices import compare as compare
+from .devices import compare_datasets as compare_datasets
 from .devices import device as device
 from .devices import read_frames as read_frames
+from .devices import read_parts as read_parts
 from .devices import write_device as write_device
 from .effects import Decision as Decision
 from .effects import EffectDecisions as EffectDecisions

@@ -81,6 +81,55 @@ def calibrate(
 
 
 @cli.command()
+@click.argument("captures")
+@click.argument("simulated", required=False)
+@click.option("--device", "name", help="What recorded CAPTURES: a name of the catalogue, or a device file.")
+@click.option(
+    "--mesh", "meshes", multiple=True, help="What stood there, in metres, as the poses have it; may be repeated."
+)
+@click.option("--fit", type=click.Choice(("hand", "mesh", "zones")), multiple=True, default=("hand", "mesh"),
+              show_default=True, help="What is fitted besides albedos and a floor; may be repeated.")  # fmt: skip
+@click.option("--fixed", is_flag=True, help="Fit albedos and a floor alone.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
+@click.option("--picture", help="Draw the best, median and worst histogram and the errors into this file, .png.")
+@click.option("--out", help="Write the device as fitted into this file, .yaml.")
+def compare(
+    captures: str, simulated: str | None, name: str | None, meshes: tuple[str, ...], fit: tuple[Any, ...],
+    fixed: bool, as_json: bool, picture: str | None, out: str | None,
+) -> None:  # fmt: skip
+    """Hold CAPTURES of a sensor at known poses against their simulation, or a dataset against a SIMULATED one."""
+    import json
+
+    from datagen.devices import compare as held_against
+    from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device
+    from datagen.errors import InputError
+
+    if picture is not None:
+        from datagen.report.style import check_png
+
+        check_png(picture)
+    if (simulated is None) == (name is None or not meshes):
+        raise InputError(
+            "compare: give CAPTURES with --device and --mesh, or two datasets: datagen compare REAL SIMULATED"
+        )
+    if simulated is not None:
+        if out is not None:
+            raise InputError(f"--out {out}: two datasets have no device that is fitted; leave it out")
+        found = compare_datasets(captures, simulated)
+    else:
+        assert name is not None
+        groups = () if fixed else fit
+        found = held_against(read_frames(captures), device(name), read_parts(meshes), fit=groups)
+    click.echo(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
+    if out is not None and found.device is not None:
+        write_device(found.device, out)
+    if picture is not None:
+        from datagen.report.comparison_plot import draw_comparison
+
+        draw_comparison(found, picture)
+
+
+@cli.command()
 @click.argument("name")
 def device(name: str) -> None:
     """Print all numbers of device NAME (of the catalogue, or a file), each with its source."""

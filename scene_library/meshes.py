@@ -69,6 +69,16 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
     return _cache[key]
 
 
+def triangles_of(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (V, 3) and triangles (F, 3) of a mesh file, in the file's coordinates. Raises `BadMesh`."""
+    if not path.is_file():
+        raise BadMesh("cannot be read (no such file)")
+    vertices, faces = _read(path, MeshOptions())
+    if not np.isfinite(vertices).all():
+        raise BadMesh("has vertices that are not finite; export it again")
+    return vertices, faces
+
+
 def _unit(path: Path, options: MeshOptions) -> Solid:
     vertices, faces = cleaned(*_read(path, options))
     _check_steps(vertices)

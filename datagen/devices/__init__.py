@@ -1,17 +1,23 @@
-"""Sensors that one can buy or that laboratories built, and their calibration from a sweep before a plane."""
+"""Sensors that one can buy or that laboratories built: their calibration from a sweep before a plane, and captures
+held against their simulation."""
 
 from datagen.devices.calibrate import Calibration, Fitted, calibrate
+from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
 from datagen.devices.model import Device, device, device_names, write_device
 
 __all__ = [
     "Calibration",
+    "Comparison",
     "Device",
     "Fitted",
     "Frames",
     "calibrate",
+    "compare",
+    "compare_datasets",
     "device",
     "device_names",
     "read_frames",
+    "read_parts",
     "write_device",
 ]

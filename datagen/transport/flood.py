@@ -51,15 +51,10 @@ def flooded(transient: Transient, capture: Capture, first: tuple[Floats, Floats]
     overflow = np.einsum("l,lp->p", shares, transient.overflow)[None]
     if first is not None:
         light, late = first
-        components["direct"] = components["direct"] + at_sensor(light.sum(axis=0)[None], capture)
+        components["direct"] = (
+            components["direct"] + at_sensor(light.sum(axis=0)[None], capture) + glass_light(capture)
+        )
         overflow = overflow + late
-        # Light from the cover glass arrives at the moment of emission.
-        sensor, axis = capture.sensor, capture.time
-        at = math.floor(-axis.start_s / axis.width_s)
-        if sensor.glass is not None and 0 <= at < axis.bins:
-            glass = np.zeros((1, len(sensor.glass), axis.bins))
-            glass[0, :, at] = sensor.glass
-            components["direct"] += delayed(glass, sensor, axis)
     variance = np.einsum("l,lpt->pt", shares**2, transient.stderr**2)[None]
     return replace(
         transient,
@@ -89,6 +84,16 @@ def at_sensor(light: Floats, capture: Capture) -> Floats:
     return delayed(light, capture.sensor, capture.time)
 
 
+def glass_light(capture: Capture) -> Floats:
+    """Light (1, P, T) that the cover glass sends straight back to each pixel, at the moment of emission."""
+    sensor, axis = capture.sensor, capture.time
+    glass = np.zeros((1, capture.shape[1], axis.bins))
+    at = math.floor(-axis.start_s / axis.width_s)
+    if sensor.glass is not None and 0 <= at < axis.bins:
+        glass[0, :, at] = sensor.glass
+    return delayed(glass, sensor, axis)
+
+
 def delayed(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
     """Light (1, P, T) moved by each pixel's delay (`Sensor.delays_s`).
 
@@ -108,15 +113,15 @@ def delayed(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
     return out
 
 
-def beam_rays(laser: Laser) -> tuple[Floats, Floats]:
+def beam_rays(laser: Laser, rays: int = RAYS) -> tuple[Floats, Floats]:
     """Directions (n, 3) of the rays of a beam that states its cells, and their shares (n,) of the light.
 
-    Each cell has equally many, a power of two and so many that there are `RAYS` or more in all. They are
+    Each cell has equally many, a power of two and so many that there are `rays` or more in all. They are
     quasi-random: all points of a row of a regular grid would lie on the same side of a zone's edge.
     """
     assert laser.cells is not None
     cells = len(laser.cells)
-    each = 1 << max(math.ceil(math.log2(RAYS / cells)), 0)
+    each = 1 << max(math.ceil(math.log2(rays / cells)), 0)
     uv = scrambled_sobol(stream_seeds(0, LightStream.BEAM, np.arange(cells)), each, 2)
     a, b, _, d = (laser.cells[:, None, k] - laser.position for k in range(4))
     directions = a + uv[..., :1] * (b - a) + uv[..., 1:] * (d - a)
@@ -124,7 +129,7 @@ def beam_rays(laser: Laser) -> tuple[Floats, Floats]:
 
 
 def one_bounce_of_beam(
-    scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable
+    scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, rays: int = RAYS
 ) -> tuple[Floats, Floats]:
     """Light of one bounce (K, P, T) of a beam that states its cells, by the part that it comes from, and what arrives
     outside the window (P,); photons at the aperture per emitted photon.
@@ -135,7 +140,7 @@ def one_bounce_of_beam(
         L = Σ_rays share · exp(−κ (R_l + R_s)) f cosθ_s V A / R_s² · s.
     """
     laser, sensor, axis = capture.laser, capture.sensor, capture.time
-    directions, power = beam_rays(laser)
+    directions, power = beam_rays(laser, rays)
     hits = caster.closest(laser.position, directions)
     directions, power = directions[hits.valid], power[hits.valid]
     x, normal = hits.position[hits.valid], hits.normal[hits.valid]

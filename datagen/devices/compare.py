@@ -1,0 +1,571 @@
+"""Captures held against their simulation: what a sensor recorded at known poses, and what its device gives there.
+
+The light that a posed device gets from a mesh is that of one bounce (`datagen.transport.flood`), for each part of the
+mesh with albedo 1. Freed of saturation (`calibrate.unsaturated`), counts are linear in the parts' albedos and a
+floor, so these follow from a non-negative least-squares fit, each histogram weighted by 1 / ‖histogram‖. What is not
+linear is fitted around it by Levenberg–Marquardt, step by step, so that the gain of each step is seen:
+
+    hand    the sensor on its mount: a turn and a shift from each frame's `pose` to the aperture;
+    mesh    where the mesh stands: a turn and a shift from the file's coordinates to those of the poses;
+    zones   the device: place, gain and delay of each zone, their common size and blur, crosstalk, spread of light.
+
+Every second frame is kept back and tested.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import scipy.optimize
+import trimesh
+from scipy.ndimage import convolve1d
+from scipy.spatial.transform import Rotation
+
+from datagen.detector import expected_histogram
+from datagen.devices.calibrate import Fitted, blind_periods, peak_positions, saturated, unsaturated
+from datagen.devices.frames import Frames
+from datagen.devices.model import Device, device, device_names
+from datagen.errors import InputError
+from datagen.records import Lambertian, Part, Scene
+from datagen.records.arrays import Floats, Ints
+from datagen.store.scenes import Scenes
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
+from datagen.transport.visibility.raycast import Raycaster
+from scene_library.meshes import BadMesh, triangles_of
+
+Group = Literal["hand", "mesh", "zones"]
+GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
+FIT_RAYS = 1 << 12
+"""Rays of a frame's light while it is fitted; the result is simulated with all. Halved, fits follow the noise of the
+rays: shifts err by 0.2 mm more."""
+FITTED_FRAMES = 32
+"""Most frames of a fit. Halved, half the time, and errors √2 times as large."""
+FEWEST_HELD_BACK = 16
+"""Frames from which every second one is kept back for the test. Halved, fits of four frames are tested on four."""
+STEPS = 12
+"""Steps of a fit. Halved, it ends before it has converged."""
+PRIOR_WEIGHT = 0.01
+"""Weight of a prior's standard deviation beside residuals, which are relative to a histogram's norm. Halved, what the
+frames do not tell moves twice as far."""
+CONCAVE_RAD = 0.1
+"""Angle of a concave edge from which it divides a mesh into parts. Halved, coarsely curved ones are, too."""
+TAIL_BINS = 8.0
+"""Decay of the late light that `Comparison.left` looks for, bins. Halved, it is taken for a wider pulse."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Histograms as recorded and as simulated.
+
+    Attributes
+    ----------
+    source, simulated_as : what was recorded, and by what it was simulated.
+    fitted : name → number with its standard error.
+    steps : what was fitted so far → median and 90th percentile of the relative L2 of the tested histograms.
+    measured, modelled : (n, zones, bins) the tested histograms, counts.
+    device : the device as fitted; None for two datasets.
+    """
+
+    source: str
+    simulated_as: str
+    fitted: dict[str, Fitted]
+    steps: dict[str, tuple[float, float]]
+    measured: Floats
+    modelled: Floats
+    device: Device | None = None
+
+    @cached_property
+    def relative_l2(self) -> Floats:
+        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
+        return relative_l2(self.modelled, self.measured)
+
+    @cached_property
+    def residual_sd(self) -> Floats:
+        """(zones,) root mean square of (measured − modelled) / √modelled: 1 if Poisson noise alone is left."""
+        squares = (self.measured - self.modelled) ** 2 / np.maximum(self.modelled, 1.0)
+        return np.asarray(np.sqrt(squares.mean(axis=(0, 2))))
+
+    @cached_property
+    def peak_shift(self) -> Floats:
+        """(n, zones) modelled minus measured position of the peak, bins."""
+        return peak_positions(self.modelled) - peak_positions(self.measured)
+
+    @cached_property
+    def left(self) -> dict[str, float]:
+        """What would explain the residuals: effect → share of ‖modelled − measured‖² that it removes if it is free
+        in every histogram. Shares overlap, since effects resemble each other."""
+        model = self.modelled
+        residual = self.measured - model
+        slope, bend = np.gradient(model, axis=2), np.gradient(np.gradient(model, axis=2), axis=2)
+        taps = np.exp(-np.arange(int(6 * TAIL_BINS)) / TAIL_BINS)
+        late = convolve1d(
+            model, np.concatenate([np.zeros(len(taps) - 1), taps / taps.sum()]), axis=2, mode="constant"
+        )
+        weight = 1 / (self.measured**2).sum(axis=2)
+        shares = {}
+        for name, shape in (("brightness", model), ("time", slope), ("width", bend), ("late light", late)):
+            along = (residual * shape).sum(axis=2) ** 2 / np.maximum((shape**2).sum(axis=2), 1e-300)
+            shares[name] = float((weight * along).sum() / (weight * (residual**2).sum(axis=2)).sum())
+        return shares
+
+    def as_dict(self) -> dict[str, Any]:
+        """All numbers, as `datagen compare --json` writes them."""
+        error, shift = self.relative_l2, np.abs(self.peak_shift)
+        return {
+            "source": self.source,
+            "simulated_as": self.simulated_as,
+            "tested_frames": len(self.measured),
+            "median_relative_l2": float(np.median(error)),
+            "p90_relative_l2": float(np.percentile(error, 90)),
+            "median_relative_l2_by_zone": np.median(error, axis=0).tolist(),
+            "p90_relative_l2_by_zone": np.percentile(error, 90, axis=0).tolist(),
+            "residual_sd_by_zone": self.residual_sd.tolist(),
+            "peak_shift_bins": {"median": float(np.median(shift)), "p90": float(np.percentile(shift, 90))},
+            "peak_shift_bins_by_zone": np.median(self.peak_shift, axis=0).tolist(),
+            "fitted": {name: {"value": of.value, "error": of.error} for name, of in self.fitted.items()},
+            "steps": {name: {"median": a, "p90": b} for name, (a, b) in self.steps.items()},
+            "left": self.left,
+        }
+
+    def text(self) -> str:
+        """The numbers as a table."""
+        error, shift = self.relative_l2, np.abs(self.peak_shift)
+        zones = error.shape[1]
+        lines = [f"{self.source}, simulated as {self.simulated_as}; {len(error)} frames tested", "fitted:"]
+        lines += [f"  {name:32} {number}" for name, number in self.fitted.items()]
+        lines.append("relative L2 of histograms, median (90th percentile), after fitting")
+        lines += [f"  {name:32} {a:.4f} ({b:.4f})" for name, (a, b) in self.steps.items()]
+        lines.append(
+            f"peak: median of |shift| {np.median(shift):.3f} bins, 90th percentile {np.percentile(shift, 90):.3f}"
+        )
+        if zones <= MOST_ZONES_LISTED:
+            lines.append(
+                "by zone: relative L2, residual in standard deviations of Poisson noise, shift of the peak (bins)"
+            )
+            medians, shifts = np.median(error, axis=0), np.median(self.peak_shift, axis=0)
+            lines += [
+                f"  {zone:4} {medians[zone]:8.4f} {self.residual_sd[zone]:8.1f} {shifts[zone]:+8.3f}"
+                for zone in range(zones)
+            ]
+        lines.append("of what is left, this would be explained by a free")
+        lines += [f"  {name:12} {share:5.0%}  ({MEANING[name]})" for name, share in self.left.items()]
+        return "\n".join(lines)
+
+
+MOST_ZONES_LISTED = 64
+"""Zones up to which the table has a line for each. Halved, sensors of 8 × 8 zones get none."""
+MEANING = {
+    "brightness": "gains of zones, albedos that vary over a part, gloss",
+    "time": "places of sensor, mesh and zones; delays; drift",
+    "width": "pulse, size of zones, rough surfaces",
+    "late light": "light of several bounces, tail of the pulse, what the mesh lacks",
+}
+
+
+def relative_l2(modelled: Floats, measured: Floats) -> Floats:
+    """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
+    return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
+
+
+def read_parts(paths: Sequence[str | Path]) -> list[Part]:
+    """The parts of mesh files in metres, in the coordinates of the poses: their albedos are fitted one by one.
+
+    A file is divided at its concave edges, where surfaces usually change (a thing on a table), as far as these cut it
+    into pieces. Raises `InputError` for a file that cannot be read.
+    """
+    parts = []
+    for path in map(Path, paths):
+        try:
+            vertices, faces = triangles_of(path)
+        except BadMesh as error:
+            raise InputError(f"{path}: {error}") from None
+        whole = trimesh.Trimesh(vertices, faces, process=True)
+        joined = whole.face_adjacency_convex | (whole.face_adjacency_angles < CONCAVE_RAD)
+        pieces = trimesh.graph.connected_components(
+            whole.face_adjacency[joined], nodes=np.arange(len(whole.faces)), min_len=1
+        )
+        pieces = sorted(pieces, key=lambda piece: -float(whole.area_faces[piece].sum()))
+        if len(pieces) > MOST_PARTS:
+            pieces = [np.arange(len(whole.faces))]
+        for number, piece in enumerate(pieces):
+            name = path.stem if len(pieces) == 1 else f"{path.stem} {number}"
+            mesh = trimesh.Trimesh(whole.vertices, whole.faces[piece], process=False)
+            parts.append(Part(name, mesh, Lambertian(UNIT), "object"))
+    names = [part.name for part in parts]
+    if len(set(names)) < len(names):
+        raise InputError(f"--mesh: {', '.join(names)}: two files give parts of one name; rename a file")
+    return parts
+
+
+MOST_PARTS = 8
+"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, so is a table with four
+things on it."""
+UNIT = 0.5
+"""Albedo that light is simulated with and then divided by."""
+
+
+def compare(
+    frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = ("hand", "mesh")
+) -> Comparison:
+    """Frames of a sensor at known poses before a known mesh, held against their simulation.
+
+    Parameters
+    ----------
+    frames : histograms and poses.
+    sensor : the device that recorded them. If the catalogue has it in other modes, too (its name and `_`), that mode
+        is taken which fits best, as frames do not say in which they were taken.
+    parts : the mesh, in the coordinates of the poses; albedos are fitted (`read_parts`).
+    fit : what is fitted besides albedos and floor, in this order (see the module).
+
+    Raises
+    ------
+    InputError : no poses, another number of zones or bins than the device has, more counts than the device has
+        cycles, or no part in sight.
+    """
+    if frames.poses is None:
+        raise InputError(f"{frames.source}: has no poses (`pose`); frames at known poses are needed")
+    bad = [group for group in fit if group not in GROUPS]
+    if bad:
+        raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
+    modes = [sensor, *(device(name) for name in device_names() if name.startswith(f"{sensor.name}_"))]
+    shape = frames.histograms.shape[1:]
+    fitting = [mode for mode in modes if (mode.zones.count, mode.time.bins) == shape]
+    if not fitting:
+        raise InputError(
+            f"{frames.source}: {shape[0]} zones of {shape[1]} bins, {sensor.name} has {sensor.zones.count} of "
+            f"{sensor.time.bins}; name the device that recorded it"
+        )
+    held_back = len(frames) >= FEWEST_HELD_BACK
+    fitted = np.arange(len(frames))[:: 2 if held_back else 1]
+    tested = np.arange(len(frames))[1::2] if held_back else fitted
+    fitted = fitted[np.unique(np.linspace(0, len(fitted) - 1, min(len(fitted), FITTED_FRAMES)).round().astype(int))]
+    session = _Session.of(frames, parts)
+    groups: list[Group] = [group for group in GROUPS if group in fit]
+    states = [_State(mode, np.zeros(6), np.zeros(6)) for mode in fitting]
+    for state in states:
+        session.check_counts(state.device)
+    steps: dict[str, tuple[float, float]] = {}
+    numbers: dict[str, Fitted] = {}
+
+    def noted(what: str, state: _State) -> float:
+        error = session.errors(state, tested)
+        steps[what] = float(np.median(error)), float(np.percentile(error, 90))
+        return steps[what][0]
+
+    first = groups[:1]
+    if len(states) > 1:
+        tried = [session.solved(state, first, fitted)[0] if first else state for state in states]
+        found = [float(np.median(session.errors(state, tested))) for state in tried]
+        states = [states[int(np.argmin(found))]]
+    (state,) = states
+    noted("albedos, floor", state)
+    for count in range(1, len(groups) + 1):
+        state, numbers = session.solved(state, groups[:count], fitted)
+        noted(f"+ {groups[count - 1]}", state)
+    albedos, floor, errors = session.linear(state, fitted)
+    names = session.scene.part_names
+    of_parts = {f"albedo of {name}": Fitted(a, e) for name, a, e in zip(names, albedos, errors, strict=False)}
+    of_floor = {
+        "floor (counts a bin)": Fitted(
+            floor * state.device.counting.cycles, errors[-1] * state.device.counting.cycles
+        )
+    }
+    modelled = session.simulated(state, tested, albedos, floor)
+    return Comparison(
+        frames.source, state.device.name, of_parts | of_floor | numbers, steps, frames.histograms[tested], modelled,
+        state.device,
+    )  # fmt: skip
+
+
+def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
+    """The histograms of all scenes that two datasets have in common; one scale and one floor are fitted.
+
+    recorded, simulated : folders of datasets with the field histogram; each pixel of each laser point is a zone.
+
+    Raises `InputError` for datasets without histograms, of other shapes, or with no scene in common.
+    """
+    pair = [Scenes(recorded), Scenes(simulated)]
+    common = sorted(set(pair[0].made()) & set(pair[1].made()))
+    for dataset in pair:
+        if "histogram" not in dataset.manifest.schema.by_name:
+            raise InputError(f"{dataset.root}: has no field histogram; build it with histogram in store.fields")
+    if not common:
+        raise InputError(f"{recorded} and {simulated}: have no scene in common; number scenes alike")
+    stacks = [
+        np.stack([np.asarray(dataset.read(index).arrays["histogram"], np.float64) for index in common])
+        for dataset in pair
+    ]
+    if stacks[0].shape != stacks[1].shape:
+        shapes = " and ".join(str(stack.shape[1:]) for stack in stacks)
+        raise InputError(
+            f"{recorded} and {simulated}: histograms (laser, pixel, bin) of {shapes}; they must be alike"
+        )
+    measured, model = (stack.reshape(len(common), -1, stack.shape[-1]) for stack in stacks)
+    lit = np.linalg.norm(measured, axis=2, keepdims=True) > 0
+    if not lit.all():
+        raise InputError(f"{recorded}: {np.sum(~lit)} histograms are empty; nothing can be compared with them")
+    weight = 1 / np.linalg.norm(measured, axis=2, keepdims=True)
+    design = np.stack([(model * weight).ravel(), np.broadcast_to(weight, model.shape).ravel()], axis=1)
+    # A floor that the simulation has, too, may have to be lowered.
+    (scale, floor), *_ = np.linalg.lstsq(design, (measured * weight).ravel())
+    residual = (measured * weight).ravel() - design @ [scale, floor]
+    by_scene = (design * residual[:, None]).reshape(len(common), -1, 2).sum(axis=1)
+    bread = np.linalg.pinv(design.T @ design)
+    errors = np.sqrt(np.diag(bread @ (by_scene.T @ by_scene) @ bread))
+    fitted = {
+        "scale": Fitted(float(scale), float(errors[0])),
+        "floor (counts a bin)": Fitted(float(floor), float(errors[1])),
+    }
+    modelled = scale * model + floor
+    steps = {}
+    for name, values in (("nothing", model), ("scale, floor", modelled)):
+        error = relative_l2(values, measured)
+        steps[name] = float(np.median(error)), float(np.percentile(error, 90))
+    return Comparison(str(recorded), str(simulated), fitted, steps, measured, modelled)
+
+
+@dataclass(frozen=True)
+class _State:
+    """A device, and the turn (rotation vector) and shift, metres, of hand (in the sensor's frame) and mesh."""
+
+    device: Device
+    hand: Floats
+    mesh: Floats
+
+
+@dataclass(frozen=True)
+class _Session:
+    """What was recorded, and of what. centre : (3,) the point that the mesh is turned around."""
+
+    counts: Floats
+    poses: Floats
+    source: str
+    scene: Scene
+    caster: Raycaster
+    materials: MaterialTable
+    centre: Floats
+
+    @classmethod
+    def of(cls, frames: Frames, parts: Sequence[Part]) -> _Session:
+        """The session of frames before a mesh. Raises `InputError` if no frame's axis meets it."""
+        assert frames.poses is not None
+        scene = Scene.from_parts(list(parts))
+        caster = Raycaster(scene)
+        seen = caster.closest(frames.poses[:, :3, 3], frames.poses[:, :3, 2])
+        if not seen.valid.any():
+            raise InputError(
+                f"{frames.source}: in no frame does the sensor's axis meet the mesh; give the mesh in metres, in the "
+                "coordinates of the poses, whose third column looks out"
+            )
+        centre = np.median(seen.position[seen.valid], axis=0)
+        return cls(
+            frames.histograms, frames.poses, frames.source, scene, caster, MaterialTable.of(scene.materials), centre
+        )
+
+    def check_counts(self, sensor: Device) -> None:
+        """Raise `InputError` where more was counted than the device has cycles for."""
+        most, blind = self.counts.sum(axis=2).max(), blind_periods(sensor)
+        if not most * (1 + blind) < sensor.counting.cycles:
+            raise InputError(
+                f"{self.source}: a zone counted {most:.0f} events, {sensor.name} has counting.cycles = "
+                f"{sensor.counting.cycles}, which give at most {sensor.counting.cycles / (1 + blind):.0f}; raise "
+                "cycles in a device file"
+            )
+
+    def pose(self, state: _State, frame: int) -> Floats:
+        """(4, 4) pose of the aperture before the mesh as its file has it."""
+        hand, pose = np.eye(4), self.poses[frame].copy()
+        hand[:3, :3], hand[:3, 3] = Rotation.from_rotvec(state.hand[:3]).as_matrix(), state.hand[3:]
+        pose = pose @ hand
+        back = Rotation.from_rotvec(state.mesh[:3]).as_matrix().T
+        pose[:3, :3] = back @ pose[:3, :3]
+        pose[:3, 3] = back @ (pose[:3, 3] - self.centre - state.mesh[3:]) + self.centre
+        return np.asarray(pose)
+
+    def light(self, state: _State, frames: Ints, rays: int) -> Floats:
+        """(K + 1, n, zones, steps) light of each part with albedo 1, as the zones record it, and of the glass."""
+        found = []
+        for frame in frames:
+            capture, _, _ = state.device.at_pose(self.pose(state, int(frame)))
+            parts, _ = one_bounce_of_beam(self.scene, capture, self.caster, self.materials, rays)
+            light = [at_sensor(part[None] / UNIT, capture)[0] for part in parts]
+            found.append(np.stack([*light, glass_light(capture)[0]]))
+        return np.stack(found, axis=1)
+
+    def events(self, state: _State, frames: Ints, rays: int = FIT_RAYS) -> Floats:
+        """(K + 1, n, zones, bins) events per cycle of that light, without saturation."""
+        light = self.light(state, frames, rays)
+        spad = replace(state.device.spad, mode="ideal", dead_time_s=0.0, dark_count_rate_hz=0.0)
+        exposure = replace(state.device.exposure, cycles=1, ambient_rate_hz=0.0)
+        flat = light.reshape(-1, *light.shape[2:])
+        counted = expected_histogram(flat, state.device.axis, spad, exposure)
+        return counted.reshape(*light.shape[:3], -1)
+
+    def balanced(self, state: _State, frames: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+        """The linear fit: coefficients (K + 1,) of the parts and the floor, and the modelled events (n, zones, bins);
+        the design (rows, K + 1) and the residuals (rows,) of the fit."""
+        device_, counts = state.device, self.counts[frames]
+        *parts, glass = self.events(state, frames)
+        events = unsaturated(counts, device_.counting.cycles, blind_periods(device_)) - glass
+        weight = 1 / np.linalg.norm(events, axis=2, keepdims=True)
+        columns = [(part * weight).ravel() for part in parts] + [np.broadcast_to(weight, events.shape).ravel()]
+        design = np.stack(columns, axis=1)
+        scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        found = scipy.optimize.nnls(design / scale, (events * weight).ravel())[0] / scale
+        modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(parts)) + found[-1] + glass
+        return found, modelled, design, (events * weight).ravel() - design @ found
+
+    def linear(self, state: _State, frames: Ints) -> tuple[Floats, float, Floats]:
+        """Albedos (K,), the floor in events per cycle, and standard errors (K + 1,), by frames, of both."""
+        found, _, design, residual = self.balanced(state, frames)
+        by_frame = (design * residual[:, None]).reshape(len(frames), -1, design.shape[1]).sum(axis=1)
+        bread = np.linalg.pinv(design.T @ design)
+        errors = np.sqrt(np.maximum(np.diag(bread @ (by_frame.T @ by_frame) @ bread), 0.0))
+        return found[:-1], float(found[-1]), errors
+
+    def residuals(self, state: _State, frames: Ints) -> Floats:
+        """(n, zones, bins) modelled minus measured counts, relative to each histogram's norm."""
+        _, modelled, _, _ = self.balanced(state, frames)
+        counts = self.counts[frames]
+        model = saturated(modelled, state.device.counting.cycles, blind_periods(state.device))
+        return np.asarray((model - counts) / np.linalg.norm(counts, axis=2, keepdims=True))
+
+    def errors(self, state: _State, frames: Ints) -> Floats:
+        """(n, zones) relative L2 of the histograms."""
+        return np.asarray(np.linalg.norm(self.residuals(state, frames), axis=2))
+
+    def simulated(self, state: _State, frames: Ints, albedos: Floats, floor: float) -> Floats:
+        """(n, zones, bins) expected counts of frames, with all rays and the detector's own statistics."""
+        width = state.device.time.bin_width_ps * 1e-12
+        spad = replace(state.device.spad, dark_count_rate_hz=floor / width)
+        light = np.einsum("k,knzt->nzt", np.append(albedos, 1.0), self.light(state, frames, RAYS))
+        return expected_histogram(light, state.device.axis, spad, state.device.exposure, approximate=True)
+
+    def solved(self, state: _State, groups: Sequence[Group], frames: Ints) -> tuple[_State, dict[str, Fitted]]:
+        """The state after a fit of groups, and the numbers that were fitted."""
+        unknowns = [unknown for group in groups for unknown in UNKNOWNS[group](state)]
+        begin = np.array([unknown.value for unknown in unknowns])
+        unit = np.array([unknown.deviation for unknown in unknowns])
+        step = np.array([unknown.step for unknown in unknowns]) / unit
+
+        def moved(x: Floats) -> _State:
+            return _moved(state, groups, begin + x * unit)
+
+        def residuals(x: Floats) -> Floats:
+            prior = np.array([unknown.prior for unknown in unknowns])
+            return np.append(self.residuals(moved(x), frames).ravel(), PRIOR_WEIGHT * ((begin - prior) / unit + x))
+
+        def jacobian(x: Floats) -> Floats:
+            # Wide central differences, since rays that pass an edge make small ones noisy.
+            columns = [
+                (residuals(x + along) - residuals(x - along)) / (2 * step[k]) for k, along in enumerate(np.diag(step))
+            ]
+            return np.stack(columns, axis=1)
+
+        found = scipy.optimize.least_squares(
+            residuals, np.zeros(len(unknowns)), jac=jacobian, max_nfev=STEPS, xtol=1e-3, ftol=1e-4
+        )
+        data = len(found.fun) - len(unknowns)
+        by_frame = (found.jac[:data] * found.fun[:data, None]).reshape(len(frames), -1, len(unknowns)).sum(axis=1)
+        bread = np.linalg.pinv(found.jac.T @ found.jac)
+        errors = np.sqrt(np.diag(bread @ (by_frame.T @ by_frame) @ bread)) * unit
+        values = begin + found.x * unit
+        numbers = {
+            unknown.name: Fitted(float(value * unknown.shown), float(error * unknown.shown))
+            for unknown, value, error in zip(unknowns, values, errors, strict=True)
+        }
+        return moved(found.x), numbers
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    """A number that is fitted: its value now, its prior's mean and standard deviation, the step of its differences,
+    and the factor to the unit of its name."""
+
+    name: str
+    value: float
+    prior: float
+    deviation: float
+    step: float
+    shown: float = 1.0
+
+
+def _placing(which: str, turn_rad: float, shift_m: float) -> Callable[[_State], list[_Unknown]]:
+    def unknowns(state: _State) -> list[_Unknown]:
+        values = getattr(state, which)
+        turns = [
+            _Unknown(f"{which}: turn {axis} (degrees)", values[k], 0.0, turn_rad, TURN_STEP_RAD, 180 / np.pi)
+            for k, axis in enumerate("xyz")
+        ]
+        shifts = [
+            _Unknown(f"{which}: shift {axis} (mm)", values[3 + k], 0.0, shift_m, SHIFT_STEP_M, 1e3)
+            for k, axis in enumerate("xyz")
+        ]
+        return [*turns, *shifts]
+
+    return unknowns
+
+
+TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
+"""Steps of the differences of turns and shifts. Halved, the noise of rays at edges doubles in them."""
+
+
+def _of_zones(state: _State) -> list[_Unknown]:
+    zones, light = state.device.zones, state.device.light
+    count, boxes = zones.count, np.array(zones.placed())
+    gains = np.array(zones.gains or [1.0] * count)
+    delays = np.array(zones.delays_ps or [0.0] * count)
+    unknowns = [
+        _Unknown(f"zones: {axis} of zone {z} (tangent)", boxes[z, k], boxes[z, k], 0.03, 0.004)
+        for k, axis in enumerate(("right", "up"))
+        for z in range(count)
+    ]
+    unknowns += [
+        _Unknown(f"zones: ln gain of zone {z}", np.log(g), np.log(g), 1.0, 0.03) for z, g in enumerate(gains)
+    ]
+    unknowns += [_Unknown(f"zones: delay of zone {z} (ps)", d, d, 50.0, 4.0) for z, d in enumerate(delays)]
+    unknowns += [_Unknown(f"zones: ln {side} scale", 0.0, 0.0, 0.2, 0.03) for side in ("width", "height")]
+    unknowns.append(_Unknown("zones: ln blur", np.log(max(zones.blur, 1e-3)), np.log(0.02), 0.7, 0.1))
+    unknowns.append(_Unknown("zones: ln crosstalk", np.log(max(zones.crosstalk, 1e-4)), np.log(0.01), 0.5, 0.1))
+    unknowns.append(_Unknown("light: ln spread", np.log(light.spread or 0.5), np.log(0.3), 0.7, 0.05))
+    return unknowns
+
+
+UNKNOWNS: dict[Group, Callable[[_State], list[_Unknown]]] = {
+    "hand": _placing("hand", 0.05, 0.02),
+    "mesh": _placing("mesh", 0.02, 0.005),
+    "zones": _of_zones,
+}
+
+
+def _moved(state: _State, groups: Sequence[Group], values: Floats) -> _State:
+    """The state with the numbers of groups, in the order of their unknowns."""
+    for group in groups:
+        if group == "zones":
+            mine, values = values, values[:0]
+            state = replace(state, device=_with_zones(state.device, mine))
+        else:
+            placed, values = values[:6], values[6:]
+            state = replace(state, hand=placed) if group == "hand" else replace(state, mesh=placed)
+    return state
+
+
+def _with_zones(sensor: Device, values: Floats) -> Device:
+    count = sensor.zones.count
+    right, up, gains, delays, rest = np.split(values, [count, 2 * count, 3 * count, 4 * count])
+    width, height, blur, crosstalk, spread = np.exp(rest)
+    boxes = np.array(sensor.zones.placed()) * [1, 1, width, height]
+    boxes[:, 0], boxes[:, 1] = right, up
+    zones = sensor.zones.model_copy(update={
+        "boxes": tuple(tuple(map(float, box)) for box in boxes), "field_deg": None, "rows": 1, "columns": 1,
+        "gains": tuple(map(float, np.exp(gains))), "delays_ps": tuple(map(float, delays)), "blur": float(blur),
+        "crosstalk": float(min(crosstalk, 0.5)),
+    })  # fmt: skip
+    light = sensor.light.model_copy(update={"spread": float(spread)})
+    return sensor.model_copy(update={"zones": zones, "light": light})
