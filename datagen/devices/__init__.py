@@ -1,8 +1,9 @@
 """Sensors that one can buy or that laboratories built, and their calibration from a sweep before a plane."""
 
+from datagen.config.device import device_names
 from datagen.devices.calibrate import Calibration, Fitted, calibrate
 from datagen.devices.frames import Frames, read_frames
-from datagen.devices.model import Device, device, device_names, write_device
+from datagen.devices.model import Device, device, write_device
 
 __all__ = [
     "Calibration",
