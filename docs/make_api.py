@@ -130,7 +130,13 @@ def _keys(model: type[Settings], places: dict[type[Settings], str]) -> str:
         unit = next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
         allowed = ", ".join(dict.fromkeys(filter(None, _allowed(field.annotation, field.metadata))))
         meaning = " ".join((field.description or of_bases.get(name, field).description or "").split())
-        cells = f"`{name}`", _type(field.annotation, field.metadata), unit, _default(field.get_default()), allowed
+        cells = (
+            f"`{name}`",
+            _type(field.annotation, field.metadata),
+            unit,
+            _default(field.get_default(call_default_factory=True)),
+            allowed,
+        )
         rows.append(f"| {' | '.join((*cells, meaning))} |\n")
     head = "| key | type | unit | default | allowed | meaning |\n| --- | --- | --- | --- | --- | --- |\n"
     text = " ".join((inspect.getdoc(model) or "").split())
@@ -161,6 +167,8 @@ def _type(kind: Any, metadata: list[Any] | tuple[Any, ...] = ()) -> str:
         return "one of" if len(inner) > 1 else "constant"
     if origin is tuple:
         return f"list: {_type(inner[0])}" if inner[-1] is ... else f"list of {len(inner)}: {_type(inner[0])}"
+    if origin is dict:
+        return f"mapping of {_type(inner[0])} to {_type(inner[1])}"
     if origin in (Union, UnionType):
         if any(getattr(rule, "custom_error_type", "") == "distribution" for rule in metadata):
             return "number or distribution"

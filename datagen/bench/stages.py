@@ -70,6 +70,8 @@ def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
         raise InputError(f"--scan {scan}: must be rows, columns and bins, such as 64x64x512")
     rows, columns, bins = (int(count) for count in counts)
     grid, time = config.capture.scan, config.capture.time
+    if config.capture.device is not None:
+        raise InputError(f"--scan {scan}: {config.name} has a device, from which its scan follows; leave --scan out")
     if not isinstance(grid, GridScan):
         raise InputError(f"--scan {scan}: {config.name} has no grid of laser points")
     changed = {"scan": grid.model_copy(update={"rows": rows, "columns": columns}),

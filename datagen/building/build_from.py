@@ -102,6 +102,11 @@ class Given:
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
         for array in [*arrays, c.laser.position, c.laser.targets, c.sensor.position, c.sensor.pixels]:
             hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
+        # What only beams and zones have, so that the digests of other captures stay the same.
+        beam = c.laser.weights, c.laser.cells, c.sensor.footprints, c.sensor.glass, c.sensor.delays_s
+        for key, array in zip(("weights", "cells", "footprints", "glass", "delays"), beam, strict=True):
+            hashed.update(b"" if array is None else f"{key}{array.shape}".encode() + array.tobytes())
+        hashed.update(repr(c.sensor.crosstalk).encode() if c.sensor.crosstalk else b"")
         return hashed.hexdigest()
 
 

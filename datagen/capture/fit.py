@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from datagen.capture.devices import device_capture, position_of
 from datagen.capture.in_sight import check_hidden, check_in_sight, check_met, pixel_points
 from datagen.capture.scans import flood_targets, rectangle_on, scan_targets
 from datagen.config import DatasetConfig
@@ -36,7 +37,8 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
     Raises
     ------
     InputError : the scene names no relay wall or device; the scan or the field of view is larger than the wall that
-        the device sees; from a configured position a laser point or pixel is hidden, or an object is in plain sight.
+        the device sees; from a configured position a laser point or pixel is hidden, or an object is in plain sight;
+        no place is found from which a device sees an object (`capture.at_objects`).
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")
@@ -53,9 +55,11 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
             "scene: names no relay wall; give Scene.from_parts(relay_wall=Rectangle…) or build a Capture"
         )
     rng = generator(config.seed if seed is None else seed, index, Purpose.CAPTURE)
+    if settings.device is not None:
+        return device_capture(settings, settings.device, scene, wall, rng)
     targets = _targets(settings, wall, rng)
-    laser = Laser(_position("laser", settings.laser_position_m, settings.laser_offset_m, scene), targets)
-    place = _position("sensor", settings.sensor_position_m, settings.sensor_offset_m, scene)
+    laser = Laser(position_of("laser", settings.laser_position_m, settings.laser_offset_m, scene), targets)
+    place = position_of("sensor", settings.sensor_position_m, settings.sensor_offset_m, scene)
     sensor = _sensor(settings, place, wall, targets)
     capture = Capture(laser, sensor, settings.time.axis(), settings.pairing, settings.illumination)
     _check_sight(settings, scene, capture)
@@ -72,20 +76,6 @@ def _targets(settings: CaptureConfig, wall: Rectangle, rng: np.random.Generator)
     else:
         lit = rectangle_on("scan", wall, scan.center_m, scan.width_m, scan.height_m)
     return flood_targets(scan, *lit)
-
-
-def _position(
-    device: str,
-    configured: tuple[float, float, float] | None,
-    offset: tuple[float, float, float] | None,
-    scene: Scene,
-) -> Floats:
-    """(3,) position of a device: as configured, or the scene's own place, moved by `offset`."""
-    if configured is not None:
-        return np.asarray(configured, np.float64)
-    if scene.device_position is None:
-        raise InputError(f"capture.{device}_position_m: missing, and the scene names no place for the device; set it")
-    return scene.device_position if offset is None else scene.device_position + np.asarray(offset, np.float64)
 
 
 def _sensor(settings: CaptureConfig, position: Floats, wall: Rectangle, targets: Floats) -> Sensor:

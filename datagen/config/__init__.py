@@ -1,7 +1,14 @@
 """Configuration: frozen pydantic models ↔ YAML, with units in the key names."""
 
 from datagen.config.capture import CaptureConfig
-from datagen.config.dataset import DatasetConfig, config_from_mapping, fingerprint_of, json_schema, load_config
+from datagen.config.dataset import (
+    DatasetConfig,
+    config_from_mapping,
+    fingerprint_of,
+    json_schema,
+    load_config,
+    time_axes,
+)
 from datagen.config.detector import DetectorConfig
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
@@ -13,5 +20,5 @@ from datagen.config.transport import TransportConfig
 __all__ = [
     "CaptureConfig", "DatasetConfig", "DetectorConfig", "EffectsConfig", "LabelsConfig", "SceneConfig",
     "SplitsConfig", "StoreConfig", "TransportConfig", "config_from_mapping", "fingerprint_of", "json_schema",
-    "load_config",
+    "load_config", "time_axes",
 ]  # fmt: skip

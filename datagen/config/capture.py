@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
 from datagen.config.base import Settings
+from datagen.config.device import DeviceConfig, device_of, read_device
+from datagen.config.distributions import Distribution, Length, Uniform, within
 from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
 from datagen.records import TimeAxis
 
@@ -36,7 +39,7 @@ class FieldOfView(Settings):
 
 
 class TimeConfig(Settings):
-    """The time bins of transient and histogram."""
+    """The time bins of the transient, and of the histogram unless the sensor merges bins."""
 
     bins: Annotated[int, Field(ge=1, le=1_000_000)] = 512
     bin_width_ps: Annotated[float, Field(gt=0, le=1e9)] = 100.0
@@ -49,10 +52,48 @@ class TimeConfig(Settings):
         """The time axis in seconds."""
         return TimeAxis(self.bins, self.bin_width_ps * 1e-12, self.start_ns * 1e-9, self.origin)
 
+    def merged(self, bins: int) -> TimeConfig:
+        """The axis on which each run of so many bins is one bin."""
+        return self.model_copy(update={"bins": self.bins // bins, "bin_width_ps": self.bin_width_ps * bins})
+
+
+def _named_device(value: Any, info: ValidationInfo) -> Any:
+    """The device of a name, of a file's path, or of plain values, which then holds all that it consists of."""
+    folder = Path((info.context or {}).get("base_directory") or ".")
+    if isinstance(value, str):
+        value = read_device(value, DeviceConfig, folder)
+    elif isinstance(value, dict):
+        value = device_of(value, "device", DeviceConfig, folder)
+    return value.self_contained() if isinstance(value, DeviceConfig) else value
+
+
+NamedDevice = Annotated[DeviceConfig, BeforeValidator(_named_device, json_schema_input_type=str | DeviceConfig)]
+
+
+class AtObjects(Settings):
+    """The device stands inside the hidden part and looks straight at an object, one that is drawn for every scene."""
+
+    share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of the scenes in which it does. In the others it looks at the relay wall from where the layout
+    puts it."""
+    distance_m: Length = Uniform(uniform=(0.4, 1.5))
+    """From the device to the middle of the object."""
+    height_m: Length = Uniform(uniform=(0.3, 1.5))
+    """Height of the device; moved towards that of the object's middle where it would lie more than 45° above or below
+    it."""
+    aside_deg: Annotated[Distribution, within(-60, 60)] = Uniform(uniform=(-10.0, 10.0))
+    """By how much the device looks to the left of the object's middle."""
+
 
 class CaptureConfig(Settings):
     """How each scene is measured."""
 
+    device: NamedDevice | None = None
+    """A sensor with its light: a name of the catalogue (`datagen device`), or a device file (.yaml) relative to the
+    configuration's folder. Pairing, illumination, scan, field of view, time axis and the laser's place then follow
+    from it. A dataset stores the whole device here."""
+    at_objects: AtObjects | None = None
+    """Of a device: it looks straight at objects. Left out: at the middle of the visible relay wall."""
     pairing: Literal["confocal", "exhaustive"] = "confocal"
     """`confocal`: pixel i looks at laser point i; `exhaustive`: every pixel for every laser point."""
     illumination: Literal["scan", "flood"] = "scan"
@@ -84,7 +125,33 @@ class CaptureConfig(Settings):
         """Whether a flood's grid has the field of view as its rectangle."""
         scan = self.scan
         own = isinstance(scan, GridScan) and (scan.width_m, scan.height_m, scan.center_m) != (None, None, None)
-        return self.illumination == "flood" and isinstance(scan, GridScan) and not own
+        return self.illumination == "flood" and isinstance(scan, GridScan) and not own and self.device is None
+
+    def unwritten(self) -> list[str]:
+        """Keys that came after the first datasets, unless given: so the fingerprints of those stay the same."""
+        return [name for name in ("device", "at_objects") if getattr(self, name) is None]
+
+    @model_validator(mode="after")
+    def _of_device(self) -> Self:
+        """Fill in what follows from a device. A stored configuration states it as well, so the same is accepted."""
+        if self.device is None:
+            if self.at_objects is not None:
+                raise ValueError("at_objects without device: only a device looks straight at objects; name one")
+            return self
+        for name, value in _of_device(self.device).items():
+            if name in self.model_fields_set and getattr(self, name) != value:
+                raise ValueError(
+                    f"{name} beside device {self.device.name!r}: follows from the device; leave it out, or write a "
+                    "device file with another one"
+                )
+            object.__setattr__(self, name, value)
+        for name in ("laser_position_m", "laser_offset_m"):
+            if getattr(self, name) is not None:
+                raise ValueError(
+                    f"{name} beside device {self.device.name!r}: the device's light.baseline_mm says where its laser "
+                    "is; leave the key out, or move both by sensor_position_m or sensor_offset_m"
+                )
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -125,4 +192,23 @@ class CaptureConfig(Settings):
                     f"{device}_position_m = {list(place)} and {device}_offset_m = {list(offset)}: only one of both "
                     "can hold; leave one out"
                 )
+        for name in ("sensor_position_m", "sensor_offset_m") if self.at_objects is not None else ():
+            if getattr(self, name) is not None:
+                raise ValueError(f"{name} with at_objects: both say where the device stands; leave one out")
         return self
+
+
+def _of_device(device: DeviceConfig) -> dict[str, Any]:
+    """Key of `capture` that follows from a device → its value."""
+    zones, light, axis = device.zones, device.light, device.axis
+    rows, columns = (zones.rows, zones.columns) if not zones.boxes else (1, zones.count)
+    if light.confocal:
+        rows = columns = 1
+    return {
+        "pairing": device.pairing,
+        "illumination": "flood" if device.is_flood else "scan",
+        "scan": GridScan(rows=light.rows, columns=light.columns),
+        "field_of_view": FieldOfView(rows=rows, columns=columns, aperture_radius_mm=zones.aperture_radius_mm),
+        "time": TimeConfig(bins=axis.bins, bin_width_ps=axis.width_s * 1e12, start_ns=axis.start_s * 1e9,
+                           origin="source"),
+    }  # fmt: skip

@@ -12,7 +12,7 @@ import pydantic
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings, raise_input_error
-from datagen.config.capture import CaptureConfig
+from datagen.config.capture import CaptureConfig, TimeConfig
 from datagen.config.detector import DetectorConfig
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
@@ -23,6 +23,7 @@ from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records.checks import check_kind
+from scene_library.materials import checked_wavelength_nm
 
 MOST_SCENES = 100_000_000
 WITHOUT_EFFECT = ("name", "description", "license", "scenes", "splits")
@@ -53,6 +54,50 @@ class DatasetConfig(Settings):
     splits: SplitsConfig = SplitsConfig()
 
     @model_validator(mode="after")
+    def _with_device(self) -> Self:
+        """Fill in what a device says about detector, wavelength and light, as far as it is not given."""
+        device = self.capture.device
+        if device is None:
+            return self
+        if "wavelength_nm" not in self.scene.model_fields_set:
+            wavelength = checked_wavelength_nm(device.wavelength_nm)
+            self._fill("scene", self.scene.model_copy(update={"wavelength_nm": wavelength}))
+        elif self.scene.wavelength_nm != device.wavelength_nm:
+            raise ValueError(
+                f"scene.wavelength_nm = {self.scene.wavelength_nm:g} beside capture.device: the light of "
+                f"{device.name} has {device.wavelength_nm:g} nm; leave it out"
+            )
+        if self.transport.target is not None and not device.zones.are_even:
+            raise ValueError(
+                f"transport.target = {self.transport.target:g} with capture.device {device.name!r}: a target is met "
+                "for zones of even sensitivity only; give sample counts instead, such as lookins: 1024"
+            )
+        # The relay wall's first return would blind a scanning laboratory's detector, so that has to be asked for.
+        if device.is_flood and "direct" not in self.transport.model_fields_set:
+            self._fill("transport", self.transport.model_copy(update={"direct": True}))
+        self._fill("detector", self.detector.of_device(device))
+        return self
+
+    def _fill(self, section: str, settings: Settings) -> None:
+        object.__setattr__(self, section, settings)
+
+    @model_validator(mode="after")
+    def _whole_bins(self) -> Self:
+        bins, merged = self.capture.time.bins, self.detector.bins_merged
+        if bins % merged:
+            raise ValueError(
+                f"detector.bins_merged = {merged} with capture.time.bins = {bins}: the bins must be a multiple "
+                f"of it; take {max(bins // merged, 1) * merged} bins"
+            )
+        return self
+
+    @property
+    def histogram_shape(self) -> tuple[int, int, int]:
+        """(laser, pixel, bin) of every histogram: as of a transient, with `detector.bins_merged` bins as one."""
+        lasers, pixels, bins = self.capture.shape
+        return lasers, pixels, bins // self.detector.bins_merged
+
+    @model_validator(mode="after")
     def _splits_are_possible(self) -> Self:
         if any(rule.classes for rule in self.splits.held_out):
             self.splits.check_classes(self.scene.object_classes())
@@ -69,6 +114,12 @@ class DatasetConfig(Settings):
         if not isinstance(scenes, int) or isinstance(scenes, bool) or not 1 <= scenes <= MOST_SCENES:
             raise InputError(f"--scenes {scenes}: must be ≥ 1 and ≤ {MOST_SCENES}")
         return self.model_copy(update={"scenes": scenes})
+
+
+def time_axes(config: DatasetConfig) -> dict[str, TimeConfig]:
+    """Axis of the stored arrays → its bins: `bin`, and `transient_bin` where the sensor merges bins."""
+    fine, merged = config.capture.time, config.detector.bins_merged
+    return {"bin": fine} if merged == 1 else {"bin": fine.merged(merged), "transient_bin": fine}
 
 
 def fingerprint_of(settings: dict[str, Any], mesh_digests: dict[str, str]) -> str:

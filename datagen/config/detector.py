@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
+from datagen.config.device import DeviceConfig
 from datagen.config.distributions import Distribution, Fraction, support, within
 
 NotNegative = Annotated[Distribution, within(0)]
@@ -42,11 +43,22 @@ class ExposureFor(Settings):
     """Longest exposure of one histogram, seconds; where it is not enough, the configuration is refused."""
 
 
+class MeasuredPulse(Settings):
+    """The laser pulse, or a whole timing response, as it was measured."""
+
+    samples: Annotated[tuple[Annotated[float, Field(ge=0)], ...], Field(min_length=1)]
+    """Light in equal steps of time, in any unit."""
+    sample_ps: Annotated[float, Field(gt=0)]
+    """Length of a step."""
+    start_ps: float = 0.0
+    """Start of the first step, after the moment that counts as emission."""
+
+
 class DetectorConfig(Settings):
     """A SPAD and its exposure. Each number may be a distribution, drawn anew for every scene.
 
     With `detector_class` the numbers left out are drawn from that class's ranges, which keeps them correlated;
-    without it they are those of a silicon SPAD in a laboratory.
+    without it they are those of a silicon SPAD in a laboratory. With `capture.device` they are the device's.
     """
 
     detector_class: DetectorClass | None = None
@@ -99,10 +111,14 @@ class DetectorConfig(Settings):
     of a room to some percent of their range."""
     pulse_fwhm_ps: NotNegative = 50.0
     """Width of the laser pulse."""
+    pulse: MeasuredPulse | None = None
+    """A measured pulse, in place of `pulse_fwhm_ps`."""
     ambient_rate_hz: NotNegative = 0.0
     """Background photons per second at one pixel's aperture."""
     counter_max: Annotated[int, Field(ge=1, le=2**62)] | None = None
     """Counts at which a bin's counter stays. Left out: counters do not saturate."""
+    bins_merged: Annotated[int, Field(ge=1, le=2**20)] = 1
+    """Bins of `capture.time` that the sensor adds up to one bin of its histogram: light is then known within it."""
     tolerance: Annotated[float, Field(ge=0, le=1)] = 1e-3
     """Relative bias that a cheaper sampler may cause; 0 demands the exact one."""
     approximate: bool = False
@@ -114,9 +130,51 @@ class DetectorConfig(Settings):
             raise ValueError("cycles and exposure_for are both given, and each sets the exposure; leave one out")
         if self.found_for is not None and (self.exposure_for is not None or "cycles" not in self.model_fields_set):
             raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
+        if self.pulse is not None and "pulse_fwhm_ps" in self.model_fields_set:
+            raise ValueError("pulse and pulse_fwhm_ps are both given, and each is the laser's pulse; leave one out")
         return self
 
     def unwritten(self) -> list[str]:
-        """Those of the keys that exclude each other that were not given."""
-        absent = [name for name in ("exposure_for", "found_for") if getattr(self, name) is None]
+        """Those of the keys that exclude each other, or came after the first datasets, that were not given."""
+        absent = [name for name in ("exposure_for", "found_for", "pulse") if getattr(self, name) is None]
+        absent += ["bins_merged"] if self.bins_merged == 1 else []
+        absent += ["pulse_fwhm_ps"] if self.pulse is not None else []
         return absent if self.exposure_for is None else [*absent, "cycles"]
+
+    def of_device(self, device: DeviceConfig) -> DetectorConfig:
+        """These settings, with the device's numbers for all that is not given.
+
+        Raises `ValueError` for `detector_class`, and another number of `bins_merged`.
+        """
+        given = {name: getattr(self, name) for name in self.model_fields_set}
+        if self.detector_class is not None:
+            raise ValueError(
+                f"detector.detector_class = {self.detector_class!r} beside capture.device: the detector is "
+                f"{device.name}'s; leave it out, and set single numbers"
+            )
+        if given.get("bins_merged", device.time.steps) != device.time.steps:
+            raise ValueError(
+                f"detector.bins_merged = {self.bins_merged} beside capture.device: follows from {device.name}'s "
+                "time.steps; leave it out"
+            )
+        counting, pulse = device.counting, device.pulse
+        own: dict[str, Any] = {
+            name: getattr(counting, name) for name in type(counting).model_fields if name in type(self).model_fields
+        }
+        own["cycles"] = float(counting.cycles)
+        own["bins_merged"] = device.time.steps
+        if counting.gate_ns == "histogram":
+            axis = device.axis
+            own["gate"] = GateConfig(start_ns=axis.start_s * 1e9, width_ns=(axis.stop_s - axis.start_s) * 1e9)
+        elif counting.gate_ns is not None:
+            own["gate"] = GateConfig(start_ns=counting.gate_ns[0], width_ns=counting.gate_ns[1])
+        if counting.crosstalk_probability > 0:
+            own["array_columns"] = device.zones.columns
+        if pulse.sample_ps is not None:
+            own["pulse"] = MeasuredPulse(samples=pulse.samples, sample_ps=pulse.sample_ps, start_ps=pulse.start_ps)
+        else:
+            own["pulse_fwhm_ps"] = pulse.fwhm_ps
+        for key, other in (("exposure_for", "cycles"), ("pulse", "pulse_fwhm_ps"), ("pulse_fwhm_ps", "pulse")):
+            if given.get(key) is not None:
+                own.pop(other, None)
+        return DetectorConfig(**(own | given))

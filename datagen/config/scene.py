@@ -27,7 +27,8 @@ class SceneConfig(Settings):
         float, AfterValidator(checked_wavelength_nm), Field(json_schema_extra={"minimum": 532, "maximum": 1550})
     ] = 532.0
     """The laser's wavelength, which decides the albedo of materials taken from the catalogue. The catalogue has
-    values at 532, 670, 850, 905, 940, 1064 and 1550 nm and is linear between them."""
+    values at 532, 670, 850, 905, 940, 1064 and 1550 nm and is linear between them. With `capture.device` it is the
+    device's."""
     attenuation_per_m: Annotated[Distribution, within(0)] = 0.0
     """Napierian attenuation of the air: a leg of R metres passes exp(−a R). A visibility of 1 km is 0.004."""
     clearance_m: Annotated[float, Field(ge=0.001, le=10)] = 0.02

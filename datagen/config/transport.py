@@ -36,7 +36,8 @@ class TransportConfig(Settings):
     """All secondary paths, none, or only the strongest (or k strongest) of each hidden vertex, which needs
     `observed`."""
     direct: bool = False
-    """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out."""
+    """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out. True unless
+    given with a `capture.device` that lights all at once, which looks straight at things."""
     target: Annotated[float, _within("target")] | None = None
     """Largest relative L2 error of each transient: then the sample counts are chosen, and may not be given."""
     part_target: Annotated[float, _within("part_target")] | None = None

@@ -15,7 +15,7 @@ import numpy as np
 
 from datagen.config.detector import DetectorConfig
 from datagen.config.distributions import Distribution, draw
-from datagen.detector.spad import Exposure, Spad
+from datagen.detector.spad import Exposure, Pulse, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.seeding import Purpose, generator
@@ -163,7 +163,7 @@ def detector_for(
         cycles=max(round(draw(config.cycles, rng)), 1),
         photons_per_pulse=draw(config.photons_per_pulse, rng),
         ambient_rate_hz=draw(config.ambient_rate_hz, rng),
-        pulse_fwhm_s=draw(config.pulse_fwhm_ps, rng) * 1e-12,
+        **_pulse(config, rng),
     )
     if config.gate is not None:
         for key, gate, unit in (
@@ -176,6 +176,14 @@ def detector_for(
         afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
         hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
         tdc_period_bins=config.tdc_period_bins, tdc_seed=int(rng.integers(2**62)) if values["tdc_dnl"] > 0 else 0,
-        **values,
+        bins_merged=config.bins_merged, **values,
     )  # fmt: skip
     return spad, exposure
+
+
+def _pulse(config: DetectorConfig, rng: np.random.Generator) -> dict[str, Any]:
+    """The arguments of `Exposure` that say what the laser's pulse is."""
+    if config.pulse is None:
+        return {"pulse_fwhm_s": draw(config.pulse_fwhm_ps, rng) * 1e-12}
+    pulse = config.pulse
+    return {"pulse": Pulse(pulse.samples, pulse.sample_ps * 1e-12, pulse.start_ps * 1e-12)}

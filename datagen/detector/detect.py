@@ -17,8 +17,7 @@ from datagen.detector.expected import (
     mean_detections,
     saturated_mean,
 )
-from datagen.detector.flux import N
-from datagen.detector.measurement import Measurement
+from datagen.detector.measurement import Measurement, merged
 from datagen.detector.random_numbers import Stream, draw_poisson, streams_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
@@ -99,7 +98,7 @@ def detect_and_choice(
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
         chosen = _choose_block(measured, first, flux, tolerance, approximate)
-        drawn = _merged(_draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows]), spad)
+        drawn = merged(_draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows]), spad)
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -162,14 +161,7 @@ def expected_histogram(
         detections = np.stack([mean_detections(values, cycle, spad) for values in measured.in_finer(flux)])
         mean = tdc.mean(exposure.cycles * detections)
         out[first : first + len(mean)] = _saturate_mean(mean, flux, measured, approximate)
-    return _merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
-
-
-def _merged(values: NDArray[N], spad: Spad) -> NDArray[N]:
-    """Values (…, bins) with each run of `Spad.bins_merged` bins added up to one."""
-    if spad.bins_merged == 1:
-        return values
-    return np.asarray(values.reshape(*values.shape[:-1], -1, spad.bins_merged).sum(axis=-1))
+    return merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
 
 
 def choose_sampler(

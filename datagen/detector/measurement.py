@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.detector.flux import Cycle, cycle_of, flux_per_cycle
+from datagen.detector.flux import Cycle, N, cycle_of, flux_per_cycle
 from datagen.detector.spad import Exposure, Spad
 from datagen.detector.tdc import Tdc
 from datagen.detector.tdc_bins import TdcBins, pieces_for
@@ -105,6 +105,13 @@ class Measurement:
         for start in range(0, lasers, step):
             block = self.transient[start : start + step]
             yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
+
+
+def merged(values: NDArray[N], spad: Spad) -> NDArray[N]:
+    """Values (…, bins) with each run of `Spad.bins_merged` bins added up to one."""
+    if spad.bins_merged == 1:
+        return values
+    return np.asarray(values.reshape(*values.shape[:-1], -1, spad.bins_merged).sum(axis=-1))
 
 
 def _has_crosstalk(spad: Spad) -> bool:

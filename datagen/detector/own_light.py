@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from datagen.detector.expected import detections_and_events
 from datagen.detector.flux import Cycle, arrivals, cycle_of
-from datagen.detector.measurement import Measurement
+from datagen.detector.measurement import Measurement, merged
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -39,8 +39,9 @@ class OwnLight:
     Attributes
     ----------
     first : number of the block's first laser point.
-    everything : (laser, pixel, bin) expected detections over the exposure, background included.
-    own : (laser, pixel, bin) expected detections of each light's own photons.
+    everything : (laser, pixel, bin) expected detections over the exposure in the bins of a histogram, background
+        included.
+    own : (laser, pixel, bin) expected detections of each light's own photons, likewise.
     armed : (laser, pixel, n) probability that an event finds the diode armed, in each bin of the laser period.
     """
 
@@ -75,7 +76,8 @@ def own_light(
         if spad.counter_max is not None:
             own = [(everything < spad.counter_max) * one for one in own]
             everything = np.minimum(everything, spad.counter_max)
-        yield OwnLight(first, everything, tuple(own), np.broadcast_to(armed, flux.shape))
+        seen, *lights_seen = (merged(one, spad) for one in (everything, *own))
+        yield OwnLight(first, seen, tuple(lights_seen), np.broadcast_to(armed, flux.shape))
 
 
 def squared_over(own: Array, everything: Array) -> Array:

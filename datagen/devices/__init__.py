@@ -1,10 +1,11 @@
 """Sensors that one can buy or that laboratories built: their calibration from a sweep before a plane, and captures
 held against their simulation."""
 
+from datagen.config.device import device_names
 from datagen.devices.calibrate import Calibration, Fitted, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
-from datagen.devices.model import Device, device, device_names, write_device
+from datagen.devices.model import Device, device, write_device
 
 __all__ = [
     "Calibration",

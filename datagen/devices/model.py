@@ -1,216 +1,22 @@
-"""Sensors that one can buy or that laboratories built: what each looks at, how it lights it, and how it counts.
-
-Directions are tangents of the angle from the sensor's axis, (right, up) as the device sees it. Every number of a
-device has its source in `sources`; a source that begins with `estimate` is one, with the reasoning after it.
-"""
+"""A device in a scene: its capture, its detector and its exposure. The catalogue by name, and device files."""
 
 from __future__ import annotations
 
 import json
-import math
-import zipfile
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, ValidationError, model_validator
-from scipy.special import ndtr
 
-from datagen.config.base import Settings, near_hint, raise_input_error
-from datagen.config.yaml_text import read_yaml
+from datagen.config.device import DeviceConfig, read_device
 from datagen.detector import Exposure, Pulse, Spad
 from datagen.errors import InputError
-from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
-from datagen.records.arrays import Floats
+from datagen.records import Capture
 from datagen.records.checks import as_points
 from datagen.store.files import write_atomically
 
-FOLDER = Path(__file__).parent / "catalogue"
-FOOTPRINT_CELLS = 24
-"""Cells along each side of a blurred zone's footprint. Halved, its sensitivity has steps twice as high."""
-BLURS_BESIDE = 3.0
-"""Standard deviations of the blur that a footprint extends beyond its zone's box. Halved, 7 % of the sensitivity at
-the box's edge is cut off."""
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Box = tuple[float, float, Positive, Positive]
-
-
-class Zones(Settings):
-    """Where the zones (or pixels) look, in the order of the device's histograms."""
-
-    rows: Annotated[int, Field(ge=1, le=4096)] = 1
-    """Rows of equal zones that fill `field_deg`, the first at the top."""
-    columns: Annotated[int, Field(ge=1, le=4096)] = 1
-    """Columns of equal zones, the first at the left."""
-    field_deg: tuple[Positive, Positive] | None = None
-    """Full width and height of the field of view, degrees."""
-    boxes: tuple[Box, ...] = ()
-    """Instead of rows, columns and field: (right, up) of each zone's middle, its width and height, in tangents."""
-    map: str | None = None
-    """Instead of boxes: an .npz file beside the device file, with `weights` (zones, rows, columns) ≥ 0, row 0 at the
-    bottom, and `extent` (left, right, bottom, top) in tangents."""
-    blur: NotNegative = 0.0
-    """Standard deviation of the Gaussian that blurs the zones' edges, in tangents."""
-    gains: tuple[NotNegative, ...] = ()
-    """Sensitivity of each zone relative to the others; left out: 1."""
-    delays_ps: tuple[float, ...] = ()
-    """By how much each zone records late; left out: 0."""
-    glass: tuple[NotNegative, ...] = ()
-    """Photons that the cover glass sends straight back to each zone, per emitted photon; left out: none."""
-    crosstalk: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of the light of all other zones that each zone receives, too."""
-    aperture_radius_mm: Positive = 0.2
-    """Radius of the round entrance aperture."""
-
-    @property
-    def count(self) -> int:
-        """Number of zones, as far as it is known without reading a map."""
-        return len(self.boxes) or self.rows * self.columns
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        given = [bool(self.boxes), self.map is not None, self.field_deg is not None]
-        if sum(given) != 1:
-            raise ValueError("zones: exactly one of boxes, map, and field_deg (with rows and columns) is needed")
-        for name in ("gains", "delays_ps", "glass"):
-            if len(getattr(self, name)) not in (0, self.count):
-                raise ValueError(
-                    f"zones.{name}: {len(getattr(self, name))} numbers given for {self.count} zones; give one a zone"
-                )
-        if self.field_deg is not None and max(self.field_deg) >= 180:
-            raise ValueError(f"zones.field_deg = {list(self.field_deg)}: must be below 180 degrees")
-        return self
-
-    def placed(self) -> tuple[Box, ...]:
-        """The box of each zone, in tangents."""
-        if self.boxes or self.field_deg is None:
-            return self.boxes
-        width, height = (2 * math.tan(math.radians(side) / 2) for side in self.field_deg)
-        w, h = width / self.columns, height / self.rows
-        return tuple(
-            ((c + 0.5) * w - width / 2, height / 2 - (r + 0.5) * h, w, h)
-            for r in range(self.rows)
-            for c in range(self.columns)
-        )
-
-    def footprints(self, folder: Path) -> tuple[Floats, Floats | None]:
-        """Corners (P, 4, 2) of each zone in tangents, and its sensitivity over them (P, R, C), None if it is even.
-
-        folder : where the file `map` lies. Raises `InputError` where it cannot be read.
-        """
-        if self.map is not None:
-            extent, weights = _read_map(folder / self.map, self.count)
-            boxes = np.tile([(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2, extent[1] - extent[0],
-                             extent[3] - extent[2]], (len(weights), 1))  # fmt: skip
-        else:
-            boxes = np.array(self.placed())
-            weights = None
-            if self.blur > 0:
-                boxes, weights = _blurred(boxes, self.blur)
-        if self.gains:
-            weights = np.ones((len(boxes), 1, 1)) if weights is None else weights
-            weights = weights * np.array(self.gains)[:, None, None]
-        x, y, w, h = boxes.T
-        left, right, low, high = x - w / 2, x + w / 2, y - h / 2, y + h / 2
-        corners = [(left, low), (right, low), (right, high), (left, high)]
-        return np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1), weights
-
-
-class Light(Settings):
-    """What lights the scene."""
-
-    kind: Literal["flood", "dots", "scan"] = "flood"
-    """`flood`: one wide beam; `dots`: narrow beams, all at once; `scan`: one narrow beam after another."""
-    field_deg: tuple[Positive, Positive]
-    """Full width and height of the lit field, degrees."""
-    rows: Annotated[int, Field(ge=1, le=4096)] = 8
-    """Rows of dots or points; of a flood those from which light of more than one bounce starts."""
-    columns: Annotated[int, Field(ge=1, le=4096)] = 8
-    """Columns of them."""
-    spread: NotNegative | None = None
-    """Standard deviation of a beam that fades towards its edges, in tangents; left out: even."""
-    baseline_mm: tuple[float, float] = (0.0, 0.0)
-    """(right, up) from the sensor to where the light leaves, as the device sees it."""
-    confocal: bool = False
-    """Of a scan: one pixel looks at each point of the scan and nowhere else; its size is `zones.field_deg`."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.confocal and self.kind != "scan":
-            raise ValueError(f"light.confocal with kind {self.kind!r}: only a scan is confocal; leave it out")
-        return self
-
-
-class Timing(Settings):
-    """The time axis of a histogram."""
-
-    bins: Annotated[int, Field(ge=1, le=1_000_000)]
-    """Bins of a histogram as the device gives it."""
-    bin_width_ps: Positive
-    """Width of a bin."""
-    zero_bin: float = 0.0
-    """Fractional bin at which light would arrive that travels no distance."""
-    steps: Annotated[int, Field(ge=1, le=64)] = 1
-    """Parts of a bin that are simulated one by one, so that arrival times are known within a bin."""
-
-
-class EmittedPulse(Settings):
-    """The pulse as the detector records it: a Gaussian, or measured samples."""
-
-    fwhm_ps: NotNegative | None = None
-    """Full width at half maximum of a Gaussian."""
-    samples: tuple[NotNegative, ...] = ()
-    """Instead: light in equal steps of time, in any unit."""
-    sample_ps: Positive | None = None
-    """Length of a step."""
-    start_ps: float = 0.0
-    """Start of the first step, after the moment that counts as emission."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if (self.fwhm_ps is None) == (not self.samples) or bool(self.samples) != (self.sample_ps is not None):
-            raise ValueError("pulse: either fwhm_ps, or samples with sample_ps, is needed")
-        return self
-
-
-class Counting(Settings):
-    """The detector of each zone, and one frame's exposure."""
-
-    mode: Literal["ideal", "synchronous", "free_running"] = "free_running"
-    """As `Spad.mode`."""
-    pde: Annotated[float, Field(gt=0, le=1)]
-    """Photon detection efficiency, with the fill factor."""
-    dark_count_rate_hz: NotNegative = 0.0
-    """Dark counts of a zone."""
-    dead_time_ns: NotNegative = 0.0
-    """Blind time after a detection."""
-    jitter_fwhm_ps: NotNegative = 0.0
-    """Jitter that is not in `pulse`."""
-    jitter_tail_ps: NotNegative = 0.0
-    """Mean delay of carriers that diffuse, if `pulse` does not hold it."""
-    jitter_tail_fraction: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of photons with that delay."""
-    afterpulse_probability: Annotated[float, Field(ge=0, le=0.5)] = 0.0
-    """As `Spad.afterpulse_probability`."""
-    crosstalk_probability: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Chance that an avalanche sets off one given neighbour."""
-    gate_ns: tuple[float, Positive] | Literal["histogram"] | None = None
-    """Start and width of the gate, nanoseconds after emission; `histogram`: on while the histogram lasts."""
-    repetition_rate_mhz: Positive
-    """Laser pulses a microsecond."""
-    cycles: Annotated[int, Field(ge=1, le=2**53)]
-    """Laser pulses of a frame that count in a zone, over all its detectors."""
-    photons_per_pulse: Positive
-    """Photons that leave the laser in a pulse."""
-    ambient_rate_hz: NotNegative = 0.0
-    """Background photons a second at a zone's aperture."""
-
-
-class Device(Settings):
+class Device(DeviceConfig):
     """A sensor with its light source; `Device.at` places it in a scene.
 
     Examples
@@ -221,26 +27,6 @@ class Device(Settings):
     >>> capture.shape, capture.illumination, spad.bins_merged
     ((1, 9, 1024), 'flood', 8)
     """
-
-    name: str
-    """Its name in the catalogue."""
-    description: str
-    """What it is, in a sentence."""
-    wavelength_nm: Annotated[float, Field(gt=0)]
-    """Wavelength of the laser."""
-    zones: Zones
-    light: Light
-    time: Timing
-    pulse: EmittedPulse
-    counting: Counting
-    sources: dict[str, str] = Field(default_factory=dict)
-    """Key (or section) → where its numbers come from; an estimate begins with `estimate`."""
-    folder: str = ""
-    """Folder of the file that it was read from, where a map lies; not written."""
-
-    def unwritten(self) -> tuple[str, ...]:
-        """`folder` depends on the machine."""
-        return ("folder",)
 
     def at(self, position: ArrayLike, toward: ArrayLike, up: ArrayLike = (0, 0, 1)) -> tuple[Capture, Spad, Exposure]:
         """The device at a place: its capture for `simulate`, and its detector and exposure for `detect`.
@@ -257,44 +43,7 @@ class Device(Settings):
         """
         place, target = as_points("Device.at: position", position, (3,)), as_points("Device.at: toward", toward, (3,))
         vertical = as_points("Device.at: up", up, (3,))
-        forward = target - place
-        right = np.cross(forward, vertical)
-        if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(vertical):
-            raise InputError(
-                f"Device.at: toward = {target.tolist()} and up = {vertical.tolist()} give no orientation: "
-                "toward must differ from position, and up must not lie along the axis"
-            )
-        forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-        above = np.cross(right, forward)
-        frame = np.stack([right, above, forward])
-        laser, sensor = self._optics(place, frame)
-        flood = self.light.kind != "scan"
-        pairing: Pairing = "confocal" if self.light.confocal else "exhaustive"
-        capture = Capture(laser, sensor, self.axis, pairing, "flood" if flood else "scan")
-        return capture, self.spad, self.exposure
-
-    def _optics(self, place: Floats, frame: Floats) -> tuple[Laser, Sensor]:
-        """Laser and sensor at a place; the rows of `frame` (3, 3) are the unit vectors right, up and forward."""
-        right, above, forward = frame
-        light, zones = self.light, self.zones
-        lit_from = place + 1e-3 * (light.baseline_mm[0] * right + light.baseline_mm[1] * above)
-        half = [math.tan(math.radians(side) / 2) for side in light.field_deg]
-        grid = Laser.flood(lit_from, lit_from + forward, half[0] * right, half[1] * above, light.rows, light.columns)
-        weights = None
-        if light.spread is not None:
-            tangents = (grid.targets - lit_from) @ frame[:2].T
-            weights = np.exp(-0.5 * (tangents**2).sum(axis=1) / light.spread**2)
-        cells = grid.cells if light.kind == "flood" else None
-        laser = Laser(lit_from, grid.targets, weights, cells)
-        radius = 1e-3 * zones.aperture_radius_mm
-        corners, sensitivity = zones.footprints(Path(self.folder))
-        corners = place + forward + corners @ frame[:2]
-        if light.confocal:
-            # The one pixel is carried along with the beam.
-            corners = corners + (grid.targets - (place + forward))[:, None]
-        glass = zones.glass or None
-        delays = np.array(zones.delays_ps) * 1e-12 if zones.delays_ps else None
-        return laser, Sensor(place, corners, radius, False, sensitivity, zones.crosstalk, glass, delays)
+        return self.capture_at(place, target, vertical), self.spad, self.exposure
 
     def at_pose(self, pose: ArrayLike) -> tuple[Capture, Spad, Exposure]:
         """As `at`, for a 4 × 4 pose matrix: its columns are the device's left, up and forward, and its position."""
@@ -303,13 +52,6 @@ class Device(Settings):
             raise InputError(f"Device.at_pose: shape {matrix.shape} given; a finite 4 × 4 matrix is needed")
         place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
         return self.at(place, place + forward, up)
-
-    @property
-    def axis(self) -> TimeAxis:
-        """The time axis that is simulated, `time.steps` times finer than the device's bins."""
-        width = self.time.bin_width_ps * 1e-12
-        steps = self.time.steps
-        return TimeAxis(self.time.bins * steps, width / steps, -self.time.zero_bin * width, "source")
 
     @property
     def spad(self) -> Spad:
@@ -340,19 +82,6 @@ class Device(Settings):
             ambient_rate_hz=c.ambient_rate_hz, pulse_fwhm_s=(p.fwhm_ps or 0.0) * 1e-12, pulse=measured,
         )  # fmt: skip
 
-    def __str__(self) -> str:
-        """A table of all numbers and where each comes from."""
-        lines = [f"{self.name}: {self.description}", f"  wavelength_nm = {self.wavelength_nm:g}"]
-        for section in ("zones", "light", "time", "pulse", "counting"):
-            for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
-                lines.append(f"  {section}.{key} = {_short(value)}")
-                lines.append(f"      {self.source_of(section, key)}")
-        return "\n".join(lines)
-
-    def source_of(self, section: str, key: str) -> str:
-        """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
-        return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
-
 
 def device(name: str | Path) -> Device:
     """A device of the catalogue by its name, or of a file by its path (`datagen calibrate` writes one).
@@ -363,32 +92,7 @@ def device(name: str | Path) -> Device:
     >>> dg.device("vl53l8ch").zones.rows
     8
     """
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        return read_device(path)
-    if str(name) not in device_names():
-        raise InputError(
-            f"device {str(name)!r} is not in the catalogue; {near_hint(str(name), device_names())}There are "
-            f"{', '.join(device_names())}; or name a device file (.yaml)"
-        )
-    return read_device(FOLDER / f"{name}.yaml")
-
-
-@cache
-def device_names() -> tuple[str, ...]:
-    """Names of the devices of the catalogue."""
-    return tuple(sorted(path.stem for path in FOLDER.glob("*.yaml")))
-
-
-def read_device(path: Path) -> Device:
-    """The device of a file; raises `InputError` with the key that is wrong."""
-    values = read_yaml(path, f"name a device file, or one of {', '.join(device_names())}")
-    values["folder"] = str(path.parent)
-    try:
-        return Device.model_validate_json(json.dumps(values))
-    except ValidationError as error:
-        raise_input_error(str(path), error, Device)
-        raise
+    return read_device(name, Device)
 
 
 def write_device(device: Device, path: str | Path) -> None:
@@ -405,40 +109,3 @@ def write_device(device: Device, path: str | Path) -> None:
         write_atomically(path, text.encode())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from None
-
-
-def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:
-    """Boxes (P, 4) with room for the blur, and the sensitivity of each over them (P, R, C).
-
-    A box convolved with a Gaussian is, along each side, Φ((x − low)/σ) − Φ((x − high)/σ).
-    """
-    wider = boxes.copy()
-    wider[:, 2:] += 2 * BLURS_BESIDE * blur
-    middles = (np.arange(FOOTPRINT_CELLS) + 0.5) / FOOTPRINT_CELLS - 0.5
-    along = []
-    for side in (2, 3):
-        x, half = middles * wider[:, side, None], boxes[:, side, None] / 2
-        along.append(ndtr((x + half) / blur) - ndtr((x - half) / blur))
-    return wider, along[1][:, :, None] * along[0][:, None, :]
-
-
-def _read_map(path: Path, zones: int) -> tuple[Floats, Floats]:
-    """Extent (4,) and weights (zones, rows, columns) of a measured map; raises `InputError` where it is none."""
-    try:
-        with path.open("rb") as opened, np.load(opened) as file:
-            extent, weights = np.asarray(file["extent"], float), np.asarray(file["weights"], float)
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(f"zones.map: {path}: {error}; an .npz with extent and weights is needed") from None
-    good = extent.shape == (4,) and extent[0] < extent[1] and extent[2] < extent[3] and weights.ndim == 3
-    if not good or (zones > 1 and len(weights) != zones) or not (np.isfinite(weights) & (weights >= 0)).all():
-        raise InputError(
-            f"zones.map: {path}: extent {extent.tolist()}, weights {weights.shape}; (left, right, bottom, top) in "
-            "tangents and finite weights ≥ 0 of (zones, rows, columns) are needed"
-        )
-    return extent, weights
-
-
-def _short(value: object) -> str:
-    """A value for the table; long lists are cut."""
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"

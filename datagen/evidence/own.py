@@ -127,7 +127,7 @@ def significance_in_time(
 ) -> dict[str, NDArray[np.float64]]:
     """Part name → (bin,) √Σ s²/b over laser points and pixels, whose squares add up to that of the significance."""
     names = tuple(parts)
-    squares = np.zeros((len(names), transient.time.bins))
+    squares = np.zeros((len(names), transient.time.bins // spad.bins_merged))
     for block in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
         for k, own in enumerate(block.own):
             squares[k] += squared_over(own, block.everything).sum(axis=(0, 1))

@@ -120,7 +120,7 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
     )
     name = quantity or there[0]
     return Measurement(
-        arrays[name], name, scene.time, paired, frame.to_wall(lit), frame.to_wall(seen),
+        arrays[name], name, scene.manifest.time_of(name), paired, frame.to_wall(lit), frame.to_wall(seen),
         frame.to_wall(arrays["laser_position"]), frame.to_wall(arrays["sensor_position"]), frame, hidden,
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from datagen.errors import InputError
+from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 
 
@@ -22,8 +23,10 @@ def h5py() -> Any:
 
 
 def write_npz(scene: SceneContent, path: Path) -> None:
-    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with what are attributes in the `.h5` file."""
-    arrays: dict[str, Any] = {**scene.arrays, "bin_edges_s": scene.time.edges_s}
+    """Write all fields by name, `bin_edges_s`, and `info`, a JSON text with what are attributes in the `.h5` file.
+
+    Where the sensor merges bins, `transient_bin_edges_s` are those of the transient."""
+    arrays: dict[str, Any] = {**scene.arrays, **_edges(scene)}
     np.savez_compressed(path, info=np.array(json.dumps(_info(scene))), **arrays)
 
 
@@ -38,15 +41,24 @@ def write_h5(scene: SceneContent, path: Path) -> None:
                 stored.dims[axis].label = name
             if field.classes:
                 stored.attrs["classes"] = list(field.classes)
-        edges = file.create_dataset("bin_edges_s", data=scene.time.edges_s)
-        edges.attrs["units"] = "s"
-        edges.attrs["long_name"] = f"edges of the bins, counted from the {scene.time.origin}"
+        for name, values in _edges(scene).items():
+            edges = file.create_dataset(name, data=values)
+            edges.attrs["units"] = "s"
+            edges.attrs["long_name"] = f"edges of the bins, counted from the {scene.time.origin}"
         info = _info(scene)
         parameters = file.create_group("parameters").attrs
         for name, value in info.pop("parameters").items():
             parameters[name] = value
         for name, value in info.items():
             file.attrs[name] = value
+
+
+def _edges(scene: SceneContent) -> dict[str, Floats]:
+    """Name → edges of the bins of an axis of time, seconds."""
+    edges = {"bin_edges_s": scene.time.edges_s}
+    if scene.manifest.bins_merged > 1:
+        edges["transient_bin_edges_s"] = scene.manifest.time_of("transient").edges_s
+    return edges
 
 
 def _info(scene: SceneContent) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from datagen.building.engines import check_workers, started
-from datagen.config import DatasetConfig
+from datagen.config import DatasetConfig, time_axes
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, records_of
@@ -116,7 +116,7 @@ def plan_text(config: DatasetConfig, expected: Forecast, compared: Sequence[Outc
 
 def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
     """Lines on the scenes, the capture, the transport and the detector."""
-    lasers, pixels, bins = config.capture.shape
+    lasers, pixels, bins = config.histogram_shape
     accuracy = config.transport.accuracy()
     bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
     how = (
@@ -126,11 +126,12 @@ def _what(config: DatasetConfig, schema: Schema) -> Iterator[str]:
         else f"as many lookins as an error of {accuracy.target:.3g} needs"
     )
     flood = config.capture.illumination == "flood"
+    named = "" if config.capture.device is None else f" ({config.capture.device.name})"
     lit = f"a flood of {config.capture.scan.laser_points} points" if flood else _count(lasers, "laser point")
     yield f"scenes       {config.scenes}, seed {config.seed}"
     yield (
         f"capture      {config.capture.pairing}, {lit} × {_count(pixels, 'pixel')} × "
-        f"{bins} bins of {config.capture.time.bin_width_ps:g} ps"
+        f"{bins} bins of {time_axes(config)['bin'].bin_width_ps:g} ps{named}"
     )
     yield f"transport    {how}, {bounces}"
     kind = f", detectors of the class {config.detector.detector_class}" if config.detector.detector_class else ""

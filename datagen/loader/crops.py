@@ -34,12 +34,17 @@ class Crops:
         if given and measured is None:
             raise InputError(f"{given[0]}: the dataset has neither histograms nor transients to read a part of")
         self.sizes = dict(zip(("laser", "pixel", "bin"), measured.shape, strict=True)) if measured else {}
+        merged = manifest.bins_merged
+        if measured and measured.dims[-1] == "transient_bin":
+            self.sizes["bin"] //= merged
         self.chosen: dict[str, NDArray[np.int64]] = {}
         for (name, (crop, grid)), axis in zip(crops.items(), ("laser", "pixel"), strict=True):
             if crop is not None:
                 self.chosen[axis] = _indices(name, crop, self.sizes[axis], _grid(grid, self.sizes[axis]))
         if bins is not None:
-            self.chosen["bin"] = _bins(bins, self.sizes["bin"])
+            chosen = self.chosen["bin"] = _bins(bins, self.sizes["bin"])
+            if merged > 1:
+                self.chosen["transient_bin"] = np.arange(chosen[0] * merged, (chosen[-1] + 1) * merged)
         # A confocal scan has one pixel for each laser point.
         self._same = {"sensor_pixel": "laser" if capture["pairing"] == "confocal" else "pixel"}
 
@@ -53,7 +58,11 @@ class Crops:
 
     def __str__(self) -> str:
         """`laser 256 of 4096, bin 512 of 1024`."""
-        return ", ".join(f"{axis} {len(chosen)} of {self.sizes[axis]}" for axis, chosen in self.chosen.items())
+        return ", ".join(
+            f"{axis} {len(chosen)} of {self.sizes[axis]}"
+            for axis, chosen in self.chosen.items()
+            if axis in self.sizes
+        )
 
 
 def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:

@@ -7,6 +7,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
@@ -20,9 +21,10 @@ from datagen.errors import CheckError, InputError
 from datagen.loader.batch import Batch
 from datagen.loader.crops import Crops
 from datagen.loader.events import events_of
-from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource
+from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource, drawn_field
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
+from datagen.records import TimeAxis
 from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.location import Bucket, location_of
@@ -39,7 +41,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     """A dataset on disk as a map-style torch `Dataset`.
 
     An item maps each field, and `"scene"` (its index), to a tensor of the scene's shape (`data.shape(field)`):
-    histogram and transient (L, P, T), label images (row, column), volumes (depth, row, column).
+    histogram and transient (L, P, T), label images (row, column), volumes (depth, row, column). `time_of(field)` has
+    the bins of T.
 
     Parameters
     ----------
@@ -76,7 +79,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         `laser_points`, the `sensor_pixels` of a confocal scan. Blocks of 256 KiB without any of these laser points
         are not decoded. Redrawn noise is that of the whole scan, cut afterwards.
     pixels : the pixels to read, in the same way.
-    bins : a slice of the time bins. It saves memory; it saves decoding only together with the other two.
+    bins : a slice of the time bins (of the histogram, where the sensor merges bins). It saves memory; it saves
+        decoding only together with the other two.
     evidence_at_least : read only scenes in which every object has at least this significance (docs/physics.md); below
         3 nothing can be learnt. Scenes without objects stay. `data.parameters("evidence.weakest")` has the
         significance of the weakest object of each scene, and the field `object_significance` (label `objects`) that
@@ -155,7 +159,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
             )
         self._crops = Crops(manifest, lasers, pixels, bins)
-        self._parts = {name: self._crops.part(field) for name, field in self._schema.by_name.items()}
+        # Fields of an item: those stored, and histograms that are drawn although none is stored.
+        self._fields = {name: drawn_field(name, light, manifest) for name, light in self._light.items()}
+        self._fields |= self._schema.by_name
+        self._parts = {name: self._crops.part(field) for name, field in self._fields.items()}
         self._volumes = Volumes(manifest, self._crops, voxels) if self._instead == "volume" else None
         self._noise = NoiseSource(manifest) if redraw_noise else None
         self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
@@ -235,10 +242,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """The shape of a field of an item."""
         if field == "volume" and self._volumes is not None:
             return self._volumes.shape
-        if field not in (*self.fields, *self._light):
+        if field not in self._fields:
             raise InputError(f"shape: {field!r} is not in {self.path}; it has {', '.join(self.fields)}")
-        name = self._light.get(field, field)
-        return (self._parts[name] or self._schema.by_name[name]).shape
+        return (self._parts[field] or self._fields[field]).shape
+
+    def time_of(self, field: str = "histogram") -> TimeAxis:
+        """The bins of a histogram or a transient of an item. They differ where the sensor merges bins
+        (`detector.bins_merged`)."""
+        axis, part = self._manifest.time_of(field), self._parts.get(field)
+        if field not in self._fields or self._fields[field].dims[-1] not in ("bin", "transient_bin"):
+            raise InputError(f"time_of: {field!r} has no axis of time in {self.path}; name histogram or transient")
+        if part is None:
+            return axis
+        first, stop = part.last.start, part.last.stop
+        return replace(axis, bins=stop - first, start_s=axis.start_s + first * axis.width_s)
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -379,7 +396,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         taken, found = self._draws.take(scenes), dict[str, NDArray[np.generic]]()
         for name in wanted:
             light = self._light[name]
-            part, every = self._parts[light], []
+            part, every = self._parts[name], []
             for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True):
                 # Noise is drawn for the whole scan and cut afterwards, so that a part equals that part of the whole.
                 counts = self._noise.draw(light, transient, scene, self.seed, *draw)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
 from datagen.errors import InputError
 from datagen.seeding import Purpose, seed_sequence
 from datagen.store import Manifest
+from datagen.store.schema import Field
 
 if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad
@@ -23,6 +25,13 @@ if TYPE_CHECKING:
 
 TRANSIENT_OF = {"histogram": "transient", "background_histogram": "background_transient"}
 _PURPOSE = {"transient": Purpose.LOADER, "background_transient": Purpose.LOADER_BACKGROUND}
+
+
+def drawn_field(name: str, light: str, manifest: Manifest) -> Field:
+    """The field of a histogram that is drawn from the field `light`, its transient."""
+    stored, merged = manifest.schema.by_name[light], manifest.bins_merged
+    *others, bins = stored.shape
+    return replace(stored, name=name, dims=(*stored.dims[:-1], "bin"), shape=(*others, bins // merged))
 
 
 class NoiseSource:
@@ -49,7 +58,7 @@ class NoiseSource:
     def draw(
         self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
     ) -> NDArray[np.integer[Any]]:
-        """(laser, pixel, bin) counts of a scene.
+        """(laser, pixel, bin) counts of a scene, with as many bins as its histogram has.
 
         They are a function of the transient (the values of `field`), `seed`, the number of the draw, the stream of
         the process and the scene.

@@ -304,6 +304,10 @@ class TimeAxis:
                 InputWarning, stacklevel=3,
             )  # fmt: skip
 
+    def merged(self, bins: int) -> TimeAxis:
+        """The axis on which each run of so many bins is one bin."""
+        return replace(self, bins=self.bins // bins, width_s=self.width_s * bins)
+
     @property
     def edges_s(self) -> Floats:
         """(bins + 1,) bin edges, seconds."""

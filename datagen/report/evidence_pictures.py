@@ -88,7 +88,7 @@ def _presence(parameters: Mapping[str, Scalar], names: Iterable[str]) -> dict[st
 
 
 def _draw_in_time(axes: Axes, again: Replay, significance: Mapping[str, float], colors: Mapping[str, str]) -> None:
-    time: TimeAxis = again.capture.time
+    time: TimeAxis = again.counted
     axes.set_title("Its light over the noise, by time")
     axes.set(xlabel=time_label(time), ylabel=f"σ per bin of {time.width_s * 1e12:g} ps")
     curves = {name: again.own[name] for name in significance if name in again.own}

@@ -56,7 +56,7 @@ def histogram_page(stored: StoredScene, again: Replay) -> Figure:
     laser, pixel = clear_channel(again.scene, again.transient)
     text = _histogram_caption(stored, again)
     figure, grid = captioned(12, [3.6, 1.8], text, f"{stored.title}: photon counts and their expectation", 2)
-    time = again.capture.time
+    time = again.counted
     for column, (title, counts, expected) in enumerate(
         (
             (_channel_name(again, laser, pixel), again.counts[laser, pixel], again.expected[laser, pixel]),
@@ -176,8 +176,8 @@ def overview_page(
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
     times.draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
-    times.draw_counts(counted, again.counts[channel], again.expected[channel], time, mean=_mean_name(again))
-    counted.set_xlim(*busy_window(again.expected[channel], time))
+    times.draw_counts(counted, again.counts[channel], again.expected[channel], again.counted, mean=_mean_name(again))
+    counted.set_xlim(*busy_window(again.expected[channel], again.counted))
     counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
     if "depth" in labels:
         draw_label(figure, depth, again.scene, "depth", labels["depth"])

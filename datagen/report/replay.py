@@ -77,6 +77,12 @@ class Replay:
     own: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
+    def counted(self) -> TimeAxis:
+        """The bins of counts, expectation and `own`: those of the capture, or of the sensor that merges them."""
+        time = self.capture.time
+        return time.merged(time.bins // self.counts.shape[-1])
+
+    @property
     def frame(self) -> ViewFrame | None:
         """The frame of the label images, in which pictures show places on the wall, too."""
         return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datagen.config import DatasetConfig
+from datagen.config import DatasetConfig, time_axes
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
 from datagen.errors import InputError
 from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, ViewFrame
-from datagen.records import Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor
+from datagen.records import Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.report import scan_plots as scans
 from datagen.report.label_plots import labels_figure
@@ -69,7 +69,7 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     """A measurement over the wall, over time, and at a few moments."""
     capture, frame = _capture(stored), _frame(stored)
     values = np.asarray(stored.arrays[name], np.float64)
-    whole, time = values.sum(axis=2), capture.time
+    whole, time = values.sum(axis=2), _time(stored, name)
     laser, pixel = (int(k) for k in np.unravel_index(int(np.argmax(whole)), whole.shape))
     raster = scans.raster_of(capture, (laser, pixel), frame)
     source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
@@ -100,7 +100,7 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     sliced.set_title(f"Time along row {row + 1} from the top" if raster else f"Time against {counted}")
     if raster is None:
         sliced.set_xlabel(f"number of the {counted}")
-    _draw_curves(curves, values, (laser, pixel), stored, unit)
+    _draw_curves(curves, values, (laser, pixel), time, unit)
     if raster is not None:
         below = figure.add_subfigure(grid[1, 0])
         for number, bins in enumerate(scans.moments(scan, _MOMENTS)):
@@ -118,8 +118,13 @@ def _unit(stored: StoredScene, name: str) -> str:
     return "signal per bin" if imported else "photons per emitted photon and bin"
 
 
-def _draw_curves(axes: Axes, values: Floats, channel: tuple[int, int], stored: StoredScene, unit: str) -> None:
-    time = stored.config.capture.time.axis()
+def _time(stored: StoredScene, name: str) -> TimeAxis:
+    """The bins of a measurement."""
+    axes = time_axes(stored.config)
+    return axes["transient_bin" if "transient" in name and "transient_bin" in axes else "bin"].axis()
+
+
+def _draw_curves(axes: Axes, values: Floats, channel: tuple[int, int], time: TimeAxis, unit: str) -> None:
     whole, one = values.sum(axis=(0, 1)), values[channel]
     axes.set(xlabel=time_label(time), ylabel=unit, title="Over time")
     if not whole.any():

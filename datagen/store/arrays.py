@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -30,15 +31,18 @@ def shard_file(field: Field, shard: int) -> str:
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
-def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
+def metadata_files(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, bytes]:
     """Path relative to the dataset → content, of every `zarr.json` of the group and of the files of its
-    coordinates."""
+    coordinates.
+
+    axes : name of an axis of time → its bins."""
     store = MemoryStore()
     geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
     group = zarr.create_group(store, attributes={"coordinates": geometry})
     for field in schema.fields:
         _create(group, field, schema)
-    _create_arrival_times(group, time)
+    for name, time in axes.items():
+        _create_arrival_times(group, name, time)
     with warnings.catch_warnings():
         # Consolidated metadata are no part of the standard yet, hence the warning. Readers that know them open the
         # group in one read, others ignore them.
@@ -47,18 +51,20 @@ def metadata_files(schema: Schema, time: TimeConfig) -> dict[str, bytes]:
     return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
 
 
-COORDINATES = (f"{GROUP}/bin/zarr.json", f"{GROUP}/bin/c/0")
-"""Files of the array of arrival times. The array has the name of its axis, which makes it a coordinate for xarray."""
+def coordinates(axes: Iterable[str]) -> tuple[str, ...]:
+    """Files of the arrays of arrival times. An array has the name of its axis, which makes it a coordinate for
+    xarray."""
+    return tuple(f"{GROUP}/{axis}/{file}" for axis in axes for file in ("zarr.json", "c/0"))
 
 
-def _create_arrival_times(group: zarr.Group, time: TimeConfig) -> None:
-    """Create the coordinate `bin`: the arrival time of the middle of each bin, ps."""
+def _create_arrival_times(group: zarr.Group, axis: str, time: TimeConfig) -> None:
+    """Create the coordinate of an axis: the arrival time of the middle of each bin, ps."""
     origin = "laser emission" if time.origin == "source" else "the laser point, without the legs of the device"
     middles = 1000.0 * time.start_ns + time.bin_width_ps * (np.arange(time.bins) + 0.5)
     # Readers that turn units of time into dates do not know "ps", so the numbers stay numbers.
     array = group.create_array(
-        "bin", shape=middles.shape, dtype=np.float64, chunks=middles.shape, compressors=[Crc32cCodec()],
-        dimension_names=("bin",), fill_value=float("nan"),
+        axis, shape=middles.shape, dtype=np.float64, chunks=middles.shape, compressors=[Crc32cCodec()],
+        dimension_names=(axis,), fill_value=float("nan"),
         attributes={"units": "ps", "long_name": f"arrival time counted from {origin}: middle of the bin"}
         | {"bin_width_ps": time.bin_width_ps},
     )  # fmt: skip

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
 
-from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping
+from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, time_axes
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportedFile
 from datagen.config.scene_contents import Mesh
@@ -19,7 +20,7 @@ from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import shown
-from datagen.store.arrays import COORDINATES, GROUP, metadata_files, shard_shape
+from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.location import Location, location_of
@@ -87,9 +88,19 @@ class Manifest:
         return int(self.config["seed"])
 
     @property
+    def bins_merged(self) -> int:
+        """Bins of a transient that make one bin of a histogram."""
+        return int(self.config.get("detector", {}).get("bins_merged", 1))
+
+    @property
     def time(self) -> TimeAxis:
-        """The bins of histogram and transient."""
-        return TimeConfig.model_validate(self.config["capture"]["time"]).axis()
+        """The bins of the histogram (also those of the transient unless the sensor merges bins)."""
+        return self.time_of("histogram")
+
+    def time_of(self, field: str) -> TimeAxis:
+        """The bins of a field: of a transient, those that are simulated."""
+        fine = TimeConfig.model_validate(self.config["capture"]["time"]).axis()
+        return fine if "transient" in field else fine.merged(self.bins_merged)
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:
@@ -156,14 +167,14 @@ class Manifest:
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
     values, meshes = config.model_dump(mode="json"), config.scene.mesh_digests()
-    metadata = metadata_hashes(schema, config.capture.time)
+    metadata = metadata_hashes(schema, time_axes(config))
     made_by = environment(), commit(), hardware()
     return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, *made_by)
 
 
-def metadata_hashes(schema: Schema, time: TimeConfig) -> dict[str, str]:
+def metadata_hashes(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, str]:
     """File of `metadata_files` → hex SHA-256."""
-    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, time).items()}
+    return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, axes).items()}
 
 
 def mesh_folder(config: DatasetConfig) -> str | None:
@@ -247,6 +258,11 @@ class _Capture:
 
 
 @dataclass(frozen=True)
+class _Detector:
+    bins_merged: Annotated[int, pydantic.Field(ge=1, le=2**20)] = 1
+
+
+@dataclass(frozen=True)
 class _Config:
     """The keys of a stored configuration that are read without parsing all of it."""
 
@@ -254,6 +270,7 @@ class _Config:
     description: str
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)]
     capture: _Capture
+    detector: _Detector = _Detector()
     license: str = ""
 
 
@@ -291,7 +308,8 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
         if _field_row(field, schema) != row:
             raise InputError(f"field {field.name}: is cut into other chunks than datagen cuts it")
     due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
-    if set(file.metadata) != due | set(COORDINATES if stated["schema_version"] >= COORDINATES_SINCE else ()):
+    axes = ("bin", "transient_bin") if file.config.detector.bins_merged > 1 else ("bin",)
+    if set(file.metadata) != due | set(coordinates(axes) if stated["schema_version"] >= COORDINATES_SINCE else ()):
         raise InputError("metadata: other files than its fields have")
     stated_by = file.versions.keys() | file.hardware.keys()
     if not {"datagen", "pyarrow", "processor", "cores", "system"} <= stated_by:

@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from datagen.config import DatasetConfig
+from datagen.config import DatasetConfig, time_axes
 from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
-from datagen.store.arrays import COORDINATES, GROUP, metadata_files
+from datagen.store.arrays import GROUP, coordinates, metadata_files
 from datagen.store.environment import environment
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
 from datagen.store.manifest import (
@@ -57,7 +57,7 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
         if restored is None:
             raise
         manifest = restored
-    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *COORDINATES]
+    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *coordinates(time_axes(config))]
     for name in [
         *files,
         *(f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")),
@@ -74,7 +74,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     """
     manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
-    names = [*metadata_files(manifest.schema, config.capture.time), f"{BUILD}/shard", MANIFEST]
+    names = [*metadata_files(manifest.schema, time_axes(config)), f"{BUILD}/shard", MANIFEST]
     for folder in dict.fromkeys((root / name).parent for name in names):
         clear_partials(folder)
     content = manifest.to_bytes()
@@ -82,7 +82,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
         forget_complete(root)
     write_if_changed(root / MANIFEST, content)
-    for name, metadata in metadata_files(manifest.schema, config.capture.time).items():
+    for name, metadata in metadata_files(manifest.schema, time_axes(config)).items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
         write_if_changed(path, metadata)
@@ -145,7 +145,7 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
             "a dataset may only grow: ask for at least as many, or name another folder"
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
-    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, config.capture.time)
+    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, time_axes(config))
     stats = old.stats if (schema, values) == (old.schema, old.config) else None
     return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata, stats=stats)
 

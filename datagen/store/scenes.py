@@ -29,7 +29,7 @@ class SceneContent:
 
     @property
     def time(self) -> TimeAxis:
-        """The bins of histogram and transient."""
+        """The bins of the histogram (also those of the transient unless the sensor merges bins)."""
         return self.manifest.time
 
 

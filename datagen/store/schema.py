@@ -1,8 +1,8 @@
 """The schema of a dataset: fields, shapes, units, and the division into chunks and shards.
 
 The schema follows from the configuration alone, so every shape is known before the first scene is made. Histograms
-are (L, P, T) for `L` laser points, `P` pixels for each (1 in a confocal scan) and `T` bins; label images have the
-configured rows and columns.
+are (L, P, T) for `L` laser points, `P` pixels for each (1 in a confocal scan) and `T` bins, transients likewise (with
+more bins where the sensor merges bins); label images have the configured rows and columns.
 """
 
 from __future__ import annotations
@@ -61,6 +61,8 @@ LARGEST_SCENE_BYTES = 2**34
 MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
+_LIGHT = ("scene", "laser", "pixel", "transient_bin")
+"""Axes of a transient whose bins the sensor merges (`detector.bins_merged`), so that a histogram has fewer."""
 _IMAGE = ("scene", "row", "column")
 _VOLUME = ("scene", "voxel_depth", "voxel_row", "voxel_column")
 
@@ -186,21 +188,22 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 
 def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
     """The sharded fields that the configuration stores: measurements, label images and volumes."""
-    measured = config.capture.shape
+    measured, light = config.histogram_shape, config.capture.shape
+    of_light = _MEASURED if measured == light else _LIGHT
     image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
     imported = isinstance(config.scene.layout, ImportedCaptures)
     photons = "as in the file" if imported else "photons at the aperture per emitted photon"
     known = (
         Field("histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
               "photons detected over the exposure"),
-        Field("transient", _MEASURED, measured, "float32", photons,
+        Field("transient", of_light, light, "float32", photons,
               "signal over time, as the file has it" if imported else
               "expected impulse response of the scene, before the detector"),
-        Field("transient_stderr", _MEASURED, measured, "float32", photons,
+        Field("transient_stderr", of_light, light, "float32", photons,
               "standard error of the transient from independent replicates; NaN when there was only one"),
         Field("background_histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
               "photons detected over an exposure of the same room without its objects, with noise of its own"),
-        Field("background_transient", _MEASURED, measured, "float32", photons,
+        Field("background_transient", of_light, light, "float32", photons,
               "expected impulse response of the same room without its objects"),
         Field("depth", _IMAGE, image, "float32", "m",
               "distance of the surface seen from the plane of the relay wall, along its normal; 0: empty"),
@@ -276,7 +279,9 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
         ("laser_points", ("scene", point, "axis"), (lasers, 3),
          "where each laser ray meets the scene (of a flood: its quadrature points); NaN where it meets nothing"),
         ("sensor_pixels", ("scene", "sensor_pixel", "corner", "axis"), (all_pixels, 4, 3),
-         "corners, in order around, of each pixel's field of view on (or beyond) the relay wall"
+         ("corners, in order around, of each pixel's field of view on (or beyond) the relay wall"
+          if config.capture.device is None else
+          "corners, in order around, of each pixel's field of view in the plane 1 m ahead of the sensor")
          + ("; all on one point: its extent is unknown" if imported else "")),
         ("laser_position", ("scene", "axis"), (3,), f"where the laser stands{unknown}"),
         ("sensor_position", ("scene", "axis"), (3,), f"centre of the sensor's aperture{unknown}"),
