@@ -336,19 +336,21 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
 @cli.command("import")
 @click.argument("files", nargs=-1, required=True)
 @click.argument("out")
-@click.option("--format", "form", help="tal (y-tal) or mat (MATLAB); left out: by each file's suffix.")
+@click.option("--format", "form", help="tal (y-tal), mat (MATLAB) or frames; left out: by each file's suffix.")
 @click.option("--bin", "bin_width", help="Width of a time bin where a file does not say it, such as 4ps.")
 @click.option("--wall", help="Size of the scanned grid where a file does not say it: 2m, or 2m x 150cm.")
 @click.option("--tof", help="File with tofgrid for a meas file without it; none: it has been subtracted.")
 @click.option("--axes", help="Order of the axes of a MATLAB grid, such as txy.")
 @click.option("--bins", type=int, help="Keep so many of the first time bins.")
 @click.option("--field", help="histogram or transient; left out: histogram where all values are whole.")
+@click.option("--device", help="What recorded frames of a sensor: a name of the catalogue, or a device file.")
 @click.option("--name", default="imported", show_default=True, help="Name of the dataset, on its cards.")
 @click.option("--description", default="", help="What was measured, and how.")
 @click.option("--license", default="", help="What others may do with it: an SPDX name, or an address.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def import_files(files: tuple[str, ...], out: str, form: str | None, quiet: bool, **options: Any) -> None:
-    """Make a dataset OUT of captures of other programs or of a laboratory, a scene for each of FILES."""
+    """Make a dataset OUT of captures of other programs or of a laboratory, a scene for each of FILES, or
+    for each frame in files of a sensor of zones."""
     from datagen.importing import import_captures
 
     result = import_captures(files, out, format=form, progress=not quiet, **options)

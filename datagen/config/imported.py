@@ -17,7 +17,13 @@ class ImportedFile(Settings):
     name: Annotated[str, Field(min_length=1, max_length=1000)]
     """Name of the file, without its folder."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-    format: Literal["tal", "mat"]
+    format: Literal["tal", "mat", "frames"]
+    frames: Annotated[int, Field(ge=1)] | None = None
+    """Of frames of a sensor: how many the file holds, each a scene. None: the file is one scene."""
+
+    def unwritten(self) -> list[str]:
+        """`frames` came after the first imports, whose fingerprints stay the same."""
+        return ["frames"] if self.frames is None else []
 
 
 class ImportOptions(Settings):

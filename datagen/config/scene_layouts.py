@@ -316,7 +316,7 @@ class ImportedCaptures(NoLayout):
 
     kind: Literal["imported"] = "imported"
     files: Annotated[tuple[ImportedFile, ...], Field(min_length=1)]
-    """One file for each scene, in the order of the scenes."""
+    """The files in the order of their scenes: one scene a file, or one for each of its frames."""
     options: ImportOptions = ImportOptions()
     """What the options of `datagen import` state where the files do not."""
     detector_is_known: bool = False

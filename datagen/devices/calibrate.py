@@ -262,9 +262,9 @@ class _Fit:
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         source = "calibrated from a sweep before a plane"
         radius = nominal.zones.aperture_radius_mm * 1e-3
-        # A beam that is even over its field sends the share du / field into du, so that g, the factor before
-        # ∫ w cos³θ du / z² in (2), is photons · pde · albedo / π · A / field.
-        field = np.prod([2 * np.tan(np.radians(side) / 2) for side in nominal.light.field_deg])
+        # A beam sends the share fading du / field into du, so that g, the factor before ∫ w fading cos³θ du / z² in
+        # (2), is photons · pde · albedo / π · A / field.
+        field = _lit(nominal)
         own = np.diag(shape.sharing) * self.brightness
         gains = own / shape.energies()
         top = float(gains.max())
@@ -316,6 +316,19 @@ class _Fit:
             "footprints' blur": Fitted(shape.blur, errors[4]),
         }
         return device, numbers
+
+
+def _lit(device: Device) -> float:
+    """∫ fading du over the lit field, tangents²; fading is 1 on the axis."""
+    light = device.light
+    right, up = (2 * np.tan(np.radians(side) / 2) for side in light.field_deg)
+    if light.spread is None:
+        return float(right * up)
+    across, along = (
+        ((np.arange(count) + 0.5) / count - 0.5) * side for count, side in ((light.columns, right), (light.rows, up))
+    )
+    fading = np.exp(-0.5 * (across**2 + along[:, None] ** 2) / light.spread**2)
+    return float(right * up * fading.mean())
 
 
 def _rounded(values: Floats, digits: int = 5) -> tuple[float, ...]:
@@ -375,7 +388,7 @@ class _Shape:
     the boxes relative to the nominal ones. shift : of all boxes, to the right and up, tangents. blur : tangents.
     distance : (zones,) of each box's middle from the axis, relative to the nominal one. zero_bins : (zones,)
     fractional bin of distance 0. sharing : (zones, zones) share of each zone's light that comes through the footprint
-    of each zone.
+    of each zone. spread : standard deviation of the beam that fades towards its edges, tangents; infinite: even.
     """
 
     nominal: Floats
@@ -386,6 +399,7 @@ class _Shape:
     blur: float
     distance: Floats
     zero_bins: Floats
+    spread: float = np.inf
 
     @classmethod
     def of(cls, device: Device) -> _Shape:
@@ -396,7 +410,7 @@ class _Shape:
         zones = device.zones.count
         blur = device.zones.blur or PRIORS["blur"][0]
         return cls(np.array(device.zones.placed()), np.eye(zones), per_m, 1.0, (0.0, 0.0), blur, np.ones(zones),
-                   device.time.zero_bin + delays)  # fmt: skip
+                   device.time.zero_bin + delays, device.light.spread or np.inf)  # fmt: skip
 
     @property
     def parameters(self) -> Floats:
@@ -407,7 +421,15 @@ class _Shape:
         """The shape with other numbers."""
         per_m, size, right, up, blur = (float(value) for value in parameters[:5])
         distance, zero = np.split(parameters[5:], 2)
-        return _Shape(self.nominal, self.sharing, per_m, size, (right, up), max(blur, 1e-3), distance, zero)
+        return replace(
+            self,
+            bins_per_m=per_m,
+            size=size,
+            shift=(right, up),
+            blur=max(blur, 1e-3),
+            distance=distance,
+            zero_bins=zero,
+        )
 
     @cached_property
     def boxes(self) -> Floats:
@@ -425,7 +447,8 @@ class _Shape:
         across = ndtr((tangents - x + w / 2) / self.blur) - ndtr((tangents - x - w / 2) / self.blur)
         upward = ndtr((tangents - y + h / 2) / self.blur) - ndtr((tangents - y - h / 2) / self.blur)
         slant = np.sqrt(1 + tangents[:, None] ** 2 + tangents**2)
-        weights = across[:, None, :] * upward[:, :, None] / slant**3 * (2 * reach / RAYS_ALONG) ** 2
+        faded = np.exp(-0.5 * (slant**2 - 1) / self.spread**2)
+        weights = across[:, None, :] * upward[:, :, None] * faded / slant**3 * (2 * reach / RAYS_ALONG) ** 2
         edges = np.linspace(1.0, slant.max() * (1 + 1e-9), SLANTS + 1)
         number = np.searchsorted(edges, slant.ravel(), side="right") - 1
         energy = np.stack([np.bincount(number, zone.ravel(), SLANTS) for zone in weights])

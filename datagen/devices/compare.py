@@ -26,10 +26,11 @@ import trimesh
 from scipy.ndimage import convolve1d
 from scipy.spatial.transform import Rotation
 
+from datagen.config.device import device_names
 from datagen.detector import expected_histogram
 from datagen.devices.calibrate import Fitted, blind_periods, peak_positions, saturated, unsaturated
 from datagen.devices.frames import Frames
-from datagen.devices.model import Device, device, device_names
+from datagen.devices.model import Device, device
 from datagen.errors import InputError
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats, Ints

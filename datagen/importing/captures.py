@@ -18,6 +18,7 @@ from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
+from datagen.importing.frames import LARGEST_COUNTS, check_settings, config_of_frames, sample_of_frame, scene_of_files
 from datagen.importing.mat import read_mat
 from datagen.importing.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.importing.tal import read_tal
@@ -25,39 +26,42 @@ from datagen.records import Sample, Scalar
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of
 
-FORMATS = ("tal", "mat")
+FORMATS = ("tal", "mat", "frames")
 FIELDS = ("histogram", "transient")
 AXES = ("xyt", "yxt", "txy", "tyx")
-_BY_SUFFIX = {".hdf5": "tal", ".h5": "tal", ".hdf": "tal", ".mat": "mat"}
-_LARGEST = {"uint16": 2**16 - 1, "uint32": 2**32 - 1}
-_SETTINGS = ("detector", "effects", "splits", "store")
+_BY_SUFFIX = {".hdf5": "tal", ".h5": "tal", ".hdf": "tal", ".mat": "mat", ".json": "frames",
+              ".gz": "frames", ".npz": "frames", ".npy": "frames"}  # fmt: skip
 
 
 def import_captures(
     files: str | Path | Sequence[str | Path], path: str | Path, *, format: str | None = None,
     bin_width: float | str | None = None, wall: float | str | tuple[float, float] | None = None,
     tof: str | Path | None = None, axes: str | None = None, bins: int | None = None, field: str | None = None,
-    name: str = "imported", description: str = "", license: str = "", settings: Mapping[str, Any] | None = None,
-    workers: int = 1, progress: bool = True,
+    device: str | Path | None = None, name: str = "imported", description: str = "", license: str = "",
+    settings: Mapping[str, Any] | None = None, workers: int = 1, progress: bool = True,
 ) -> BuildResult:  # fmt: skip
-    """Make a dataset of captures from a laboratory or another program, one scene for each file.
+    """Make a dataset of captures from a laboratory, another program, or a sensor of zones: a scene for each file, or
+    for each frame of the sensor.
 
     The dataset is read, verified and exported like a simulated one, but has no labels, because the hidden part is
     unknown. Points keep the frame of their file; a grid is stored row by row from the top left, as in simulated
-    datasets.
+    datasets. Frames of a sensor have the fields, the time axis and the detector of a simulated dataset of the same
+    device, so one loader and one network take both; positions are those of each frame's pose, or in the sensor's own
+    frame where the file has none.
 
     Parameters
     ----------
     files : files of y-tal (HDF5), or of MATLAB in the formats that docs/exports.md lists; all of one shape, time axis
-        and pairing.
+        and pairing. Or frames as `read_frames` takes them, of one device.
     path : the folder of the dataset; the same call again resumes.
-    format : "tal" or "mat"; left out: from each file's suffix.
+    format : "tal", "mat" or "frames"; left out: from each file's suffix.
     bin_width, wall : width of a time bin (seconds, or a text such as "4ps") and size of the scanned grid from its
         first to its last point (metres, width and height, or "2m"), if a file does not state them.
     tof : file with `tofgrid`, for a MATLAB `meas` without it; "none": its times count from the wall already.
     axes : order of the axes of a MATLAB grid, such as "txy", if it is not the usual order of its variable.
     bins : number of time bins to keep, from the first one on; for example as many as a simulated dataset has.
     field : "histogram" (counts) or "transient" (anything else); left out: histogram if all values are whole numbers.
+    device : what recorded frames: a name of the catalogue, or a device file.
     name, description, license : as in a configuration; the dataset's cards show them.
     settings : sections `detector` (from which `redraw_noise` takes the detector), `effects`, `splits`, `store`.
     workers, progress : as for `build`.
@@ -80,14 +84,25 @@ def import_captures(
     ((64, 1, 64), [-0.35, 0.35, 0.0])
     """
     check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
+    if format is not None and format not in FORMATS:
+        raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
     paths = _paths(files)
     if field is not None:
         check_choice("--field", field, FIELDS)
     options, delays = _options(bin_width, wall, tof, axes, bins)
-    given = [_summary(file, format, options, delays) for file in paths]
-    config = _config(given, field, options, dict(settings or {}), {
-        "name": name, "description": description, "license": license,
-    })  # fmt: skip
+    named = {"name": name, "description": description, "license": license}
+    if {format or _format_of(file) for file in paths} == {"frames"}:
+        if (options, field) != (ImportOptions(), None):
+            raise InputError(
+                f"{paths[0]}: frames of a sensor are counts on its own time axis; leave --bin-width, --wall, --tof, "
+                "--axes, --bins and --field out"
+            )
+        config = config_of_frames(paths, device, dict(settings or {}), named)
+    else:
+        if device is not None:
+            raise InputError(f"--device {device}: {paths[0].name} holds no frames of a sensor; leave it out")
+        given = [_summary(file, format, options, delays) for file in paths]
+        config = _config(given, field, options, dict(settings or {}), named)
     samples = ImportedSamples(tuple(str(file.resolve()) for file in paths), None if delays is None else str(delays))
     return build(config, path, workers, progress=progress, sample_function=samples)
 
@@ -106,10 +121,13 @@ class ImportedSamples:
         """Sample number `index`."""
         began, layout = time.perf_counter(), config.scene.layout
         assert isinstance(layout, ImportedCaptures)
-        file, delays = layout.files[index], None if self.delays is None else Path(self.delays)
-        path = Path(self.files[index])
+        number, frame = scene_of_files(layout.files, index)
+        file, delays = layout.files[number], None if self.delays is None else Path(self.delays)
+        path = Path(self.files[number])
         if sha256_of(path) != file.sha256:
             raise InputError(f"{path}: has changed since the import began; import it again")
+        if file.format == "frames":
+            return sample_of_frame(config, index, path, file, frame)
         recording = _recording(path, file.format, layout.options, delays)
         field = config.store.fields[0]
         dtype = config.store.histogram_dtype if field == "histogram" else "float32"
@@ -194,15 +212,20 @@ def _options(
 
 def _summary(path: Path, format: str | None, options: ImportOptions, delays: Path | None) -> _Summary:
     """The summary of one file. The whole file is read."""
-    form = format or _BY_SUFFIX.get(path.suffix.lower())
-    if form is None:
-        raise InputError(f"{path}: its suffix says no format; say --format tal or --format mat")
-    if form not in FORMATS:
-        raise InputError(f"{path}: --format {format}: must be one of {', '.join(FORMATS)}")
+    form = format or _format_of(path)
+    if form == "frames":
+        raise InputError(f"{path}: frames of a sensor and captures of scans make two datasets; import them apart")
     file = ImportedFile(name=path.name, sha256=sha256_of(path), format=cast(Literal["tal", "mat"], form))
     recording = _recording(path, form, options, delays)
     whole, most = numbers_in(path, recording.values)
     return _Summary(file, recording.values.shape, recording.paired, recording.time, whole, most)
+
+
+def _format_of(path: Path) -> str:
+    form = _BY_SUFFIX.get(path.suffix.lower())
+    if form is None:
+        raise InputError(f"{path}: its suffix says no format; say --format {', '.join(FORMATS)}")
+    return form
 
 
 def _recording(path: Path, format: str, options: ImportOptions, delays: Path | None) -> Recording:
@@ -225,9 +248,7 @@ def _config(
                 f"{other.file.name}: {other}, {first.file.name}: {first}; all of a dataset have one "
                 f"shape, time axis and pairing: {remedy}"
             )
-    for key in settings:
-        if key not in _SETTINGS:
-            raise InputError(f"settings: {key!r} is not for an import; there are {', '.join(_SETTINGS)}")
+    check_settings(settings)
     lasers, pixels, _ = first.shape
     view = {} if first.paired else {"rows": 1, "columns": pixels}
     capture = {
@@ -266,10 +287,10 @@ def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
         if most.most > float(np.finfo(np.float32).max):
             raise InputError(f"{most.file.name}: holds {most.most:g}, more than a float32 can")
         return {"fields": ["transient"]}
-    dtype = next((name for name, limit in _LARGEST.items() if most.most <= limit), None)
+    dtype = next((name for name, limit in LARGEST_COUNTS.items() if most.most <= limit), None)
     if dtype is None:
         raise InputError(
-            f"{most.file.name}: counts up to {most.most:g}, at most {_LARGEST['uint32']} are stored; take "
+            f"{most.file.name}: counts up to {most.most:g}, at most {LARGEST_COUNTS['uint32']} are stored; take "
             "--field transient"
         )
     return {"fields": ["histogram"], "histogram_dtype": dtype}

@@ -282,7 +282,7 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
          ("corners, in order around, of each pixel's field of view on (or beyond) the relay wall"
           if config.capture.device is None else
           "corners, in order around, of each pixel's field of view in the plane 1 m ahead of the sensor")
-         + ("; all on one point: its extent is unknown" if imported else "")),
+         + ("; all on one point: its extent is unknown" if imported and config.capture.device is None else "")),
         ("laser_position", ("scene", "axis"), (3,), f"where the laser stands{unknown}"),
         ("sensor_position", ("scene", "axis"), (3,), f"centre of the sensor's aperture{unknown}"),
         ("relay_wall", rectangle, (3, 3), "the visible wall: centre and half extents right, up; NaN when unknown"),

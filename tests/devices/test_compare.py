@@ -172,6 +172,10 @@ def test_two_datasets_are_compared(tmp_path: Path) -> None:
 
 @real
 def test_the_real_pyramid_agrees_as_far_as_stated() -> None:
-    found = dg.compare(dg.read_frames(CAPTURES), dg.device("tmf8820"), dg.read_parts([MESH]))
-    assert found.simulated_as == "tmf8820_wide"
+    """Every fourth frame; from its neighbours the catalogue's zones were fitted."""
+    whole = dg.read_frames(CAPTURES)
+    assert whole.poses is not None
+    frames = replace(whole, histograms=whole.histograms[1::4], poses=whole.poses[1::4], reference=None)
+    found = dg.compare(frames, dg.device("tmf8820"), dg.read_parts([MESH]))
+    assert found.simulated_as == "tmf8820"
     assert np.median(found.relative_l2) < 0.08 and np.percentile(found.relative_l2, 90) < 0.2

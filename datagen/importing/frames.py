@@ -1,0 +1,116 @@
+"""Frames of a sensor of zones as samples: the fields of a simulated dataset of the same device."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config.imported import ImportedFile
+from datagen.devices import Frames, device, read_frames
+from datagen.errors import InputError
+from datagen.records import Sample, Scalar
+from datagen.store.files import sha256_of
+
+SETTINGS = ("detector", "effects", "splits", "store")
+LARGEST_COUNTS = {"uint16": 2**16 - 1, "uint32": 2**32 - 1}
+
+
+def check_settings(settings: dict[str, Any]) -> None:
+    """Raise `InputError` for a section that an import does not take."""
+    for key in settings:
+        if key not in SETTINGS:
+            raise InputError(f"settings: {key!r} is not for an import; there are {', '.join(SETTINGS)}")
+
+
+def config_of_frames(
+    paths: Sequence[Path], name: str | Path | None, settings: dict[str, Any], named: dict[str, Any]
+) -> DatasetConfig:
+    """The configuration of a dataset of frames: the files' digests, and the device that recorded them.
+
+    Raises `InputError` where no device is named, and for frames that are damaged or have other zones or bins.
+    """
+    if name is None:
+        raise InputError(f"{paths[0]}: frames do not say what recorded them; name it: --device tmf8820")
+    check_settings(settings)
+    sensor = device(name)
+    lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
+    files, most = [], 0.0
+    for path in paths:
+        frames = read_frames(path)
+        counts = frames.histograms
+        if counts.shape[1:] != (lasers * pixels, sensor.time.bins):
+            raise InputError(
+                f"{path}: {counts.shape[1]} zones of {counts.shape[2]} bins, {sensor.name} has {lasers * pixels} of "
+                f"{sensor.time.bins}; name the device that recorded it"
+            )
+        if (counts % 1 != 0).any():
+            raise InputError(f"{path}: holds fractions, which are no counts; round them first")
+        most = max(most, float(counts.max()))
+        files.append(ImportedFile(name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames)))
+    dtype = next((dtype for dtype, limit in LARGEST_COUNTS.items() if most <= limit), None)
+    if dtype is None:
+        raise InputError(f"{paths[0]}: counts up to {most:g}, at most {LARGEST_COUNTS['uint32']} are stored")
+    layout = {
+        "kind": "imported", "files": [file.model_dump(mode="json") for file in files], "detector_is_known": True,
+    }  # fmt: skip
+    whole = settings | named | {
+        "scenes": sum(file.frames or 1 for file in files),
+        "scene": {"layout": layout, "contents": []},
+        "capture": {"device": json.loads(sensor.model_dump_json(exclude_defaults=True))},
+        "store": settings.get("store", {}) | {"fields": ["histogram"], "histogram_dtype": dtype},
+    }  # fmt: skip
+    return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
+
+
+def scene_of_files(files: Sequence[ImportedFile], index: int) -> tuple[int, int]:
+    """The number of the file that a scene is in, and the number of the scene in it."""
+    for number, file in enumerate(files):
+        if index < (file.frames or 1):
+            return number, index
+        index -= file.frames or 1
+    raise IndexError(index)
+
+
+@lru_cache(maxsize=1)
+def _frames(path: Path, sha256: str) -> Frames:
+    return read_frames(path)
+
+
+def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: ImportedFile, frame: int) -> Sample:
+    """The sample of one frame: its counts, and where the device stood."""
+    began = time.perf_counter()
+    frames, sensor = _frames(path, file.sha256), config.capture.device
+    assert sensor is not None
+    counts = frames.histograms[frame].reshape(config.histogram_shape).astype(config.store.histogram_dtype)
+    pose = np.eye(4) if frames.poses is None else frames.poses[frame]
+    place, forward, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
+    capture = sensor.capture_at(place, place + forward, up)
+    unknown = np.full((3, 3), np.nan)
+    parameters: dict[str, Scalar] = {
+        "capture.file": file.name,
+        "capture.frame": frame,
+        "capture.pose_is_known": frames.poses is not None,
+        "imported.format": file.format,
+        "imported.sha256": file.sha256,
+        "histogram.counts": int(counts.sum(dtype=np.int64)),
+    }
+    if frames.distances_m is not None:
+        parameters["capture.distance_m"] = float(frames.distances_m[frame])
+    arrays = {
+        "histogram": counts,
+        "laser_points": np.full_like(capture.laser.targets, np.nan),
+        "sensor_pixels": capture.sensor.pixels,
+        "laser_position": capture.laser.position,
+        "sensor_position": capture.sensor.position,
+        "relay_wall": unknown,
+        "hidden_view": unknown,
+        "hidden_bounds": unknown[:2],
+    }
+    return Sample(index, arrays, parameters, {"read": time.perf_counter() - began})
