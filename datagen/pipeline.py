@@ -125,7 +125,7 @@ def sample_of(
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
         if "zone_depth" in config.store.fields:
-            labels["zone_depth"] = zone_depth(scene, capture, caster).astype(np.float32)
+            labels["zone_depth"] = zone_depth(scene, capture).astype(np.float32)
         if "presence" in config.store.fields:
             labels["object_presence"] = presence_table(tuple(presence.values()), slots.capacity)
     arrays: dict[str, NDArray[np.generic]] = {
