@@ -29,6 +29,7 @@ from .devices import device as device
 from .devices import read_frames as read_frames
 from .devices import read_parts as read_parts
 from .devices import write_device as write_device
+from .devices import zone_depth as zone_depth
 from .effects import Decision as Decision
 from .effects import EffectDecisions as EffectDecisions
 from .effects import plan_effects as plan_effects

@@ -130,12 +130,25 @@ def compare(
 
 
 @cli.command()
-@click.argument("name")
-def device(name: str) -> None:
-    """Print all numbers of device NAME (of the catalogue, or a file), each with its source."""
+@click.argument("names", nargs=-1)
+@click.option(
+    "--sheet", "out", help="Instead: draw into this file, .png, what they see of one room, and print a table."
+)
+def device(names: tuple[str, ...], out: str | None) -> None:
+    """Print all numbers of devices NAMES (of the catalogue, or files), each with its source; left out: the
+    catalogue."""
     from datagen.devices import device as named
+    from datagen.devices import device_names
 
-    click.echo(str(named(name)))
+    if out is not None:
+        from datagen.report.device_sheet import device_sheet
+
+        click.echo(device_sheet([named(name) for name in names or device_names()], out))
+        return
+    for name in names:
+        click.echo(str(named(name)))
+    if not names:
+        click.echo("\n".join(f"{name:14} {named(name).description}" for name in device_names()))
 
 
 @cli.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
@@ -19,6 +19,7 @@ from datagen.config.transport import TransportConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
+from datagen.devices import share_of_late_zones, zone_depth
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.errors import InputError, InputWarning
 from datagen.evidence import evidence_image, light_in_sight
@@ -36,6 +37,7 @@ from datagen.records.sample import SCAN_PLACE
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.visibility.raycast import Raycaster
+from datagen.units import path_from_time
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
@@ -122,6 +124,8 @@ def sample_of(
         labels = make_labels(config.labels, scene, wanted, slots, surface)
         if "objects" in wanted:
             labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
+        if "zone_depth" in config.store.fields:
+            labels["zone_depth"] = zone_depth(scene, capture).astype(np.float32)
         if "presence" in config.store.fields:
             labels["object_presence"] = presence_table(tuple(presence.values()), slots.capacity)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -146,21 +150,26 @@ LIT_SCENES_TRIED = 4
 """The same where scenes are accepted by their light, which takes seconds for each: half as many find less, sooner."""
 
 
+LATE_SCENES = 0.25
+"""Share of the scenes tried in which most zones may look beyond the end of the time axis. Halved, sensors that look
+into large rooms on purpose are warned of, too."""
+
+
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. Warn of what is possible but most likely not meant: no objects, and volumes of meshes with holes.
+    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, and zones
+    whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
-    capture = _tried_capture(config, 0)
-    tried = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
-    for index in range(1, min(config.scenes, tried)):
-        _tried_capture(config, index)
+    most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
+    tried = [_tried(config, index) for index in range(min(config.scenes, most))]
+    capture = tried[0][1]
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))
     tolerance, approximate = config.detector.tolerance, config.detector.approximate
     choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in _most_likely_not_meant(config):
+    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried)):
         warn(warning, InputWarning, stacklevel=3)
 
 
@@ -183,11 +192,26 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
         )
 
 
-def _tried_capture(config: DatasetConfig, index: int) -> Capture:
-    """The capture of scene `index`, generated without light; an `InputError` names any scene but the first."""
+def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
+    """A warning if in many of the scenes tried most zones see things whose direct light arrives after the time axis
+    ends."""
+    if not config.transport.direct or config.capture.time.origin != "source":
+        return
+    late = sum(share_of_late_zones(scene, capture) > 0.5 for scene, capture in tried)
+    if late > LATE_SCENES * len(tried):
+        reach_m = float(path_from_time(config.capture.time.axis().stop_s)) / 2
+        yield (
+            f"capture: in {late} of {len(tried)} scenes most zones see things farther away than the time axis "
+            f"reaches ({reach_m:.2g} m), so their histograms are empty; bring the device nearer "
+            "(at_objects.distance_m, layout.relay_distance_m), or take more bins"
+        )
+
+
+def _tried(config: DatasetConfig, index: int) -> tuple[Scene, Capture]:
+    """Scene `index`, generated without light, and its capture; an `InputError` names any scene but the first."""
     scene = scene_for(config, index)
     try:
-        return capture_for(config, scene, config.seed, index)
+        return scene, capture_for(config, scene, config.seed, index)
     except InputError as error:
         if index == 0:
             raise

@@ -35,7 +35,12 @@ MOST = {"rows": 3, "columns": 3, "count": 4}
 def reduced(config: DatasetConfig) -> DatasetConfig:
     """One scene with fewer of everything, and otherwise the same."""
     values: dict[str, Any] = config.model_dump(mode="json")
-    for section in ("scan", "field_of_view"):
+    device = values["capture"].get("device")
+    if device is not None:
+        # The rest of the section follows from the device; its zones stay as they are.
+        device["light"] |= {key: min(device["light"][key], MOST[key]) for key in ("rows", "columns")}
+        values["capture"] = {key: values["capture"][key] for key in ("device", "at_objects")}
+    for section in ("scan", "field_of_view") if device is None else ():
         part = values["capture"][section]
         for number, size in (("rows", "height_m"), ("columns", "width_m")):
             if part.get(number) and part.get(size) and section == "field_of_view":

@@ -8,7 +8,6 @@ device has its source in `sources`; a source that begins with `estimate` is one,
 from __future__ import annotations
 
 import json
-import math
 import zipfile
 from functools import cache
 from pathlib import Path
@@ -23,6 +22,7 @@ from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
 from datagen.records.arrays import Floats
+from scene_library.rounding import cos, length, product, sin
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
 """Folder of the catalogue."""
@@ -95,7 +95,7 @@ class Zones(Settings):
         """The box of each zone, in tangents."""
         if self.boxes or self.field_deg is None:
             return self.boxes
-        width, height = (2 * math.tan(math.radians(side) / 2) for side in self.field_deg)
+        width, height = (2 * _tangent_of_half(side) for side in self.field_deg)
         w, h = width / self.columns, height / self.rows
         return tuple(
             ((c + 0.5) * w - width / 2, height / 2 - (r + 0.5) * h, w, h)
@@ -279,12 +279,13 @@ class DeviceConfig(Settings):
         """
         forward = target - place
         right = np.cross(forward, vertical)
-        if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(vertical):
+        if length(right) <= 1e-9 * length(forward) * length(vertical):
             raise InputError(
                 f"Device.at: toward = {target.tolist()} and up = {vertical.tolist()} give no orientation: "
                 "toward must differ from position, and up must not lie along the axis"
             )
-        forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+        # Lengths, products and tangents that round alike on every processor, as datasets depend on them.
+        forward, right = forward / length(forward), right / length(right)
         above = np.cross(right, forward)
         laser, sensor = self._optics(place, np.stack([right, above, forward]))
         return Capture(laser, sensor, self.axis, self.pairing, "flood" if self.is_flood else "scan")
@@ -294,17 +295,18 @@ class DeviceConfig(Settings):
         right, above, forward = frame
         light, zones = self.light, self.zones
         lit_from = place + 1e-3 * (light.baseline_mm[0] * right + light.baseline_mm[1] * above)
-        half = [math.tan(math.radians(side) / 2) for side in light.field_deg]
+        half = [_tangent_of_half(side) for side in light.field_deg]
         grid = Laser.flood(lit_from, lit_from + forward, half[0] * right, half[1] * above, light.rows, light.columns)
         weights = None
         if light.spread is not None:
-            tangents = (grid.targets - lit_from) @ frame[:2].T
-            weights = np.exp(-0.5 * (tangents**2).sum(axis=1) / light.spread**2)
+            aside = grid.targets - lit_from
+            tangents = product(aside, right), product(aside, above)
+            weights = np.exp(-0.5 * (tangents[0] ** 2 + tangents[1] ** 2) / light.spread**2)
         cells = grid.cells if light.kind == "flood" else None
         laser = Laser(lit_from, grid.targets, weights, cells)
         radius = 1e-3 * zones.aperture_radius_mm
         corners, sensitivity = zones.footprints(Path(self.folder))
-        corners = place + forward + corners @ frame[:2]
+        corners = place + forward + corners[..., :1] * right + corners[..., 1:] * above
         if light.confocal:
             # The one pixel is carried along with the beam.
             corners = corners + (grid.targets - (place + forward))[:, None]
@@ -369,6 +371,12 @@ def device_of(values: dict[str, Any], source: str, model: type[AnyDevice], folde
     except ValidationError as error:
         raise_input_error(source, error, model)
         raise
+
+
+def _tangent_of_half(degrees: float) -> float:
+    """tan(angle / 2)."""
+    half = np.radians(degrees) / 2
+    return float(sin(half) / cos(half))
 
 
 def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:

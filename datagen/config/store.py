@@ -10,7 +10,7 @@ from datagen.config.base import Settings
 
 StoredField = Literal[
     "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
-    "sdf", "objects", "evidence", "presence", "background_histogram", "background_transient",
+    "sdf", "objects", "evidence", "presence", "background_histogram", "background_transient", "zone_depth",
 ]  # fmt: skip
 
 
@@ -21,7 +21,8 @@ class StoreConfig(Settings):
     """The fields to store. `objects`: tables of object classes, poses, boxes and evidence. `evidence`: the image of
     expected detections from each label pixel. `background_histogram` and `background_transient`: counts and light of
     the same room without its objects, which takes one more simulation. `presence`: the significance of the difference
-    between the scene with an object and without it, which takes one more simulation for each object."""
+    between the scene with an object and without it, which takes one more simulation for each object. `zone_depth`:
+    the depth of what each zone of the sensor (or each pixel) sees first."""
     scenes_per_shard: Annotated[int, Field(ge=1, le=256)] | None = None
     """A power of two; left out: chosen by the size of a sample and the number of scenes (8 to 256, shards of at most
     256 MiB)."""

@@ -6,6 +6,7 @@ from datagen.devices.calibrate import Calibration, Fitted, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
 from datagen.devices.model import Device, device, write_device
+from datagen.devices.sight import share_of_late_zones, zone_depth
 
 __all__ = [
     "Calibration",
@@ -20,5 +21,7 @@ __all__ = [
     "device_names",
     "read_frames",
     "read_parts",
+    "share_of_late_zones",
     "write_device",
+    "zone_depth",
 ]

@@ -7,7 +7,8 @@ is
 
     L(scene) − L(scene with the object black) − parts[object].
 
-Both simulations use the same paths, so that only paths that touch the object remain in the difference.
+Both simulations use the same paths, so that only paths that touch the object remain in the difference. Of a beam with
+cells (`Laser.flood`) light of one bounce is known by part without this, and belongs to `Transient.parts`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.flood import as_scan, at_sensor, one_bounce_of_beam, sum_of_flood
+from datagen.transport.flood import as_scan, sum_of_flood
 from datagen.transport.path_tracing.averages import path_average
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.simulate import prepared
@@ -59,7 +60,7 @@ def light_in_sight(
     flood = capture.illumination == "flood"
     scan = as_scan(capture) if flood else capture
     task = prepared(scene, scan, samples, seed, split_parts=True, caster=caster)
-    whole, light, first = path_average(task).rows, {}, np.empty((0, 0, 0))
+    whole, light = path_average(task).rows, dict[str, Floats]()
     for name in in_sight:
         k = scene.part_names.index(name)
         black = replace(scene, materials=(*scene.materials[:k], Lambertian(0.0), *scene.materials[k + 1 :]))
@@ -71,9 +72,6 @@ def light_in_sight(
                 own += with_it - without
         np.maximum(own, 0.0, out=own)
         light[name] = sum_of_flood(own, capture) if flood else own
-        if flood and capture.laser.cells is not None and accuracy.direct:
-            first = first if len(first) else one_bounce_of_beam(scene, capture, caster, task.materials)[0]
-            light[name] += at_sensor(first[k][None], capture)
     return light
 
 

@@ -88,7 +88,8 @@ class Transient:
     ----------
     time : the time axis of the bins.
     components : "direct", "primary", "secondary", "higher" → (L, P, T) float64; only those simulated.
-    parts : the primary split by the part on which the hidden vertex lies, part name → (L, P, T).
+    parts : the primary split by the part on which the hidden vertex lies, part name → (L, P, T). Of a beam with cells
+        (`Laser.flood`, devices) also the light of one bounce that the part sends straight back.
     stderr : (L, P, T) standard error of `total` from independent replicates; NaN when there was only one.
     overflow : (L, P) energy that arrives outside the window.
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. For a flood L here is

@@ -149,7 +149,13 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
     """
     if config.scenes > MOST_SCENES:
         raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
-    fields = _large_fields(config) + _object_tables(config) + _presence(config) + _small_fields(config)
+    fields = (
+        _large_fields(config)
+        + _object_tables(config)
+        + _presence(config)
+        + _zone_depth(config)
+        + _small_fields(config)
+    )
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
@@ -266,10 +272,26 @@ def _presence(config: DatasetConfig) -> tuple[Field, ...]:
     return (Field("object_presence", ("scene", "object"), (rows,), "float32", "1", meaning, sharded=False),)
 
 
+def _zone_depth(config: DatasetConfig) -> tuple[Field, ...]:
+    """The field of the label `zone_depth`, if the configuration stores it."""
+    if "zone_depth" not in config.store.fields:
+        return ()
+    meaning = (
+        "depth of what each zone (or pixel) sees first, from the sensor along the zone's axis: mean over its "
+        "footprint, weighted by its sensitivity; NaN where it sees nothing"
+    )
+    return (Field("zone_depth", ("scene", "sensor_pixel"), (_all_pixels(config),), "float32", "m", meaning, False),)
+
+
+def _all_pixels(config: DatasetConfig) -> int:
+    """Number of all pixels of the sensor."""
+    confocal = config.capture.pairing == "confocal"
+    return config.capture.scan.laser_points if confocal else config.capture.shape[1]
+
+
 def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
     """The fields that say where laser, sensor, relay wall and hidden part are; every dataset has them."""
-    lasers, pixels = config.capture.scan.laser_points, config.capture.shape[1]
-    all_pixels = lasers if config.capture.pairing == "confocal" else pixels
+    lasers, all_pixels = config.capture.scan.laser_points, _all_pixels(config)
     rectangle = ("scene", "vector", "axis")
     imported = isinstance(config.scene.layout, ImportedCaptures)
     unknown = "; NaN when unknown" if imported else ""

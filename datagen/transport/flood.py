@@ -18,6 +18,7 @@ things.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,17 +38,21 @@ RAYS = 1 << 15
 with edges errs by up to 0.7 % instead of 0.4 %."""
 
 
-def flooded(transient: Transient, capture: Capture, first: tuple[Floats, Floats] | None = None) -> Transient:
+def flooded(
+    transient: Transient, capture: Capture, first: tuple[Floats, Floats] | None = None, names: Sequence[str] = ()
+) -> Transient:
     """The transient (1, P, T) of a flood, from the transient (L, P, T) of its laser points.
 
     first : light of one bounce (K, P, T) by part, and what of it arrives outside the window (P,), that the transient
         of the laser points lacks.
+    names : of the parts, whose light of one bounce is added to `Transient.parts`, too; empty if light is not split.
 
     `stderr` treats the errors of the laser points as independent. They are, except for the FoV points that the laser
     points share.
     """
     shares = capture.laser.shares
     components = {name: sum_of_flood(light, capture) for name, light in transient.components.items()}
+    parts = {name: sum_of_flood(light, capture) for name, light in transient.parts.items()}
     overflow = np.einsum("l,lp->p", shares, transient.overflow)[None]
     if first is not None:
         light, late = first
@@ -55,11 +60,13 @@ def flooded(transient: Transient, capture: Capture, first: tuple[Floats, Floats]
             components["direct"] + at_sensor(light.sum(axis=0)[None], capture) + glass_light(capture)
         )
         overflow = overflow + late
+        for name, own in zip(names, light, strict=False):
+            parts[name] = parts.get(name, 0.0) + at_sensor(own[None], capture)
     variance = np.einsum("l,lpt->pt", shares**2, transient.stderr**2)[None]
     return replace(
         transient,
         components=components,
-        parts={name: sum_of_flood(light, capture) for name, light in transient.parts.items()},
+        parts=parts,
         stderr=np.sqrt(variance),
         overflow=overflow,
     )

@@ -146,7 +146,7 @@ def transient_of(
         first = None
         if capture.laser.cells is not None and accuracy.direct:
             first = one_bounce_of_beam(scene, capture, caster, MaterialTable.of(scene.materials))
-        return flooded(one_by_one, capture, first)
+        return flooded(one_by_one, capture, first, scene.part_names if split_parts else ())
     began = clock_time.perf_counter()
     problem = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()

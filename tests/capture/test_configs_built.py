@@ -32,7 +32,7 @@ def test_every_ready_configuration_is_built(path: Path, tmp_path: Path) -> None:
     assert verify(tmp_path / "set").problems == ()
     data = dg.TransientDataset(str(tmp_path / "set"), fields=("histogram",))
     counts = np.asarray(data[0]["histogram"])
-    assert counts.shape == config.capture.shape
+    assert counts.shape == config.histogram_shape
     assert counts.sum() > 0
     if made_as_pinned():
         remedy = "if a seed is meant to yield something else, renew tests/small_configs.json (`make digests`)"

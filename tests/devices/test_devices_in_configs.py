@@ -17,19 +17,20 @@ import datagen as dg
 from datagen.config import config_from_mapping, load_config, time_axes
 from datagen.detector import detector_for
 from datagen.devices import device_names
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.export import export
-from datagen.pipeline import simulate_sample
+from datagen.pipeline import check_inputs, simulate_sample
 from datagen.store.scenes import Scenes
 from datagen.store.schema import schema_of
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 FEW = {"transport": {"lookins": 8, "fov_samples": 1, "max_bounces": 3}}
 """Few paths: only light of more than one bounce depends on them."""
 
 
 def configured(name: str = "tmf8820", **sections: Any) -> dg.DatasetConfig:
     capture = {"device": name} | sections.pop("capture", {})
-    return config_from_mapping({"seed": 4, "capture": capture, **FEW, **sections})
+    return config_from_mapping({"seed": 4, "capture": capture} | FEW | sections)
 
 
 @pytest.mark.parametrize("name", device_names())
@@ -267,7 +268,7 @@ def test_evidence_is_that_of_the_merged_histogram(merged: Path) -> None:
 )
 def test_configurations_without_a_device_are_stored_as_before(name: str, fingerprint: str) -> None:
     """Their fingerprint is that of datagen 0.19, before configurations took devices, and so are their arrays."""
-    config = load_config(Path(__file__).parents[2] / "configs" / f"{name}.yaml")
+    config = load_config(CONFIGS / f"{name}.yaml")
     assert config.fingerprint() == fingerprint
     assert config.histogram_shape == config.capture.shape and list(time_axes(config)) == ["bin"]
     stored = schema_of(config).by_name
@@ -275,7 +276,36 @@ def test_configurations_without_a_device_are_stored_as_before(name: str, fingerp
 
 
 @pytest.mark.parametrize("name", device_names())
-@pytest.mark.nightly
-def test_every_device_builds_a_scene(name: str) -> None:
-    sample = simulate_sample(configured(name, store={"fields": ["histogram"], "histogram_dtype": "uint32"}), 0)
-    assert sample.arrays["histogram"].sum() > 0
+def test_every_device_builds_a_scene_of_the_ready_configuration(name: str) -> None:
+    values = yaml.safe_load((CONFIGS / "any_device.yaml").read_text())
+    values["capture"]["device"] = name
+    values["transport"] |= {"lookins": 1, "max_bounces": 3}
+    if dg.device(name).light.kind == "scan":
+        del values["capture"]["at_objects"]
+    config = config_from_mapping(values)
+    sample = simulate_sample(config, 0)
+    counts, depth = sample.arrays["histogram"], sample.arrays["zone_depth"]
+    assert counts.shape == config.histogram_shape and counts.sum() > 0
+    assert depth.shape == schema_of(config).by_name["zone_depth"].shape
+    assert np.isfinite(depth).all() and (depth > 0.02).all() and (depth < 5).all()
+
+
+def test_a_sensor_that_looks_too_far_is_warned_of() -> None:
+    """A VL53L8CH, whose histogram ends at 0.9 m, sees walls of a corridor at 5 to 7 m; one metre away it does not."""
+    far = configured("vl53l8ch", scenes=8)
+    with pytest.warns(InputWarning, match=r"in 8 of 8 scenes most zones see things farther .* \(0\.9 m\)"):
+        check_inputs(far)
+    check_inputs(configured("vl53l1x", scenes=8, capture={"at_objects": {"distance_m": 0.6}}))
+    # Without direct light there is nothing to miss.
+    check_inputs(configured("vl53l8ch", scenes=8, transport={"direct": False}))
+
+
+def test_the_ready_configuration_looks_straight_and_past_corners() -> None:
+    config = load_config(CONFIGS / "tof_zones_direct.yaml")
+    check_inputs(config)
+    sight = []
+    for index in range(16):
+        scene = dg.scene_for(config, index)
+        sensor = dg.capture_for(config, scene, index=index).sensor
+        sight.append(bool(np.array_equal(sensor.position, scene.device_position)))
+    assert 0 < sum(sight) < 12
