@@ -12,7 +12,7 @@ migration. Then it learns from simulations that leave one effect out. Prints the
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ import trimesh
 from evidence_training import Array, framed
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_laplace, map_coordinates
+from tof_plane_training import several
 from torch import nn
 
 import datagen as dg
@@ -402,13 +403,13 @@ def letter_of(scan: Real, response: Array) -> tuple[Letter, float]:
 
 def scans_of(
     scenes: list[tuple[Array, NDArray[np.bool_], Array, float]], response: Array, parts: Simulation, draws: int,
-    first: int, pool: ProcessPoolExecutor,
+    first: int, pool: Executor,
 ) -> Scans:  # fmt: skip
     """Each scene, drawn several times; `first` is the seed of the first."""
-    several = [scene for scene in scenes for _ in range(draws)]
-    light, mask, depth, side = zip(*several, strict=True)
+    repeated = [scene for scene in scenes for _ in range(draws)]
+    light, mask, depth, side = zip(*repeated, strict=True)
     make = partial(drawn_volume, response, parts)
-    volumes = list(pool.map(make, light, side, range(first, first + len(several)), chunksize=8))
+    volumes = list(pool.map(make, light, side, range(first, first + len(repeated)), chunksize=8))
     relative = np.stack([d / s for d, s in zip(depth, side, strict=True)])
     some, middle = zip(*map(about_brightest, volumes), strict=True)
     return Scans(
@@ -512,17 +513,17 @@ def compared(folder: Path, scenes: int, epochs: int, seeds: int, workers: int) -
     volumes = {name: volume_of(scan.counts, scan.side) for name, scan in scans.items()}
     networks: dict[str, dict[str, list[Answer]]] = {}
     unseen = (float("nan"), float("nan"))
-    with ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with several(workers) as pool:
         kept = list(pool.map(partial(simulated, retro=True), range(scenes, scenes + max(scenes // 8, 1))))
         simulations = {
             retro: list(pool.map(partial(simulated, retro=retro), range(scenes))) for retro in (True, False)
         }
         for name, parts in LEFT_OUT.items():
             given = scans_of(simulations[parts.retro], response, parts, DRAWS, 0, pool)
-            several = list(pool.map(partial(trained, given, epochs=epochs), range(seeds)))
-            networks[name] = {of: [said(network, volume) for network in several] for of, volume in volumes.items()}
+            each = list(pool.map(partial(trained, given, epochs=epochs), range(seeds)))
+            networks[name] = {of: [said(network, volume) for network in each] for of, volume in volumes.items()}
             if name == WHOLE:
-                unseen = kept_back(several[0], scans_of(kept, response, parts, 1, DRAWS * scenes, pool))
+                unseen = kept_back(each[0], scans_of(kept, response, parts, 1, DRAWS * scenes, pool))
     return Found(letter, explained, outline, scans, answers, networks, unseen)
 
 

@@ -14,7 +14,7 @@ import argparse
 import gzip
 import json
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -113,6 +113,12 @@ def light_of(device: Device, plane: tuple[float, float, float]) -> Array:
     return dg.simulate(scene, capture, accuracy).total[0]
 
 
+def several(workers: int) -> Executor:
+    """Processes that work at the same time, one torch thread each; for one worker, this process."""
+    kind = ProcessPoolExecutor if workers > 1 else ThreadPoolExecutor
+    return kind(workers, initializer=torch.set_num_threads, initargs=(1,))
+
+
 def changed(device: Device, section: str, **numbers: object) -> Device:
     """The device with other numbers in one of its sections."""
     return device.model_copy(update={section: getattr(device, section).model_copy(update=numbers)})
@@ -135,7 +141,7 @@ def simulated(devices: Mapping[str, Device], planes: Planes, workers: int) -> di
     each = list(zip(planes.distance, *planes.tilt.T, strict=True))
     lights: dict[str, list[Array]] = {}
     found = {}
-    with ProcessPoolExecutor(workers) as pool:
+    with several(workers) as pool:
         for name, device in devices.items():
             bare = changed(device, "zones", glass=())
             key = bare.zones.model_dump_json() + bare.time.model_dump_json()
@@ -328,7 +334,7 @@ def compared(sweep: Sweep, planes: int, epochs: int, seeds: int, workers: int) -
     kept = Planes.drawn(max(planes // 8, 2), 1)
     fresh = simulated({WHOLE: half.device}, kept, workers)[WHOLE]
     unseen = (np.nan, np.nan)
-    with ProcessPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+    with several(workers) as pool:
         for name, given in counts.items():
             one = partial(trained, given, answers, epochs=epochs, noise=name != NOISE)
             each = list(pool.map(one, range(seeds)))
