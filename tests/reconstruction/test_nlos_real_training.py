@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import trimesh
+
+import datagen as dg
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "nlos_real_training.py"
@@ -124,12 +127,61 @@ def test_a_network_learns_silhouette_and_depth() -> None:
     assert made["overlap"](mask, masks[0]) > 0.6 and abs(np.median(depth[mask]) - depths[0].max()) < 0.02
 
 
+def test_retroreflected_light_falls_as_the_square_of_the_distance_where_the_spot_holds_the_lobe() -> None:
+    """A diffuse plate's falls as almost the fourth power (it is 20 cm wide, and not a point)."""
+    wall = dg.Part("relay_wall", trimesh.creation.box(bounds=[(-0.05, -1, -1), (0, 1, 1)]), dg.Lambertian(0.9),
+                   role="relay_wall")  # fmt: skip
+    place, half = (1.5, 2.5, 0), 0.01
+    spot = half * np.array([[[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]])
+    sensor, time = dg.Sensor(place, spot), dg.TimeAxis(256, 32e-12, 0.0, "wall")
+    capture = dg.Capture(dg.Laser(place, [(0, 0, 0)]), sensor, time, pairing="confocal")
+    power = {}
+    for material in (dg.Retroreflector(0.8), dg.Lambertian(0.8)):
+        light = []
+        for depth in (0.4, 0.65):
+            plate = trimesh.creation.box(bounds=[(depth, -0.1, -0.1), (depth + 0.002, 0.1, 0.1)])
+            scene = dg.Scene.from_parts([wall, dg.Part("plate", plate, material)])
+            accuracy = dg.Accuracy(lookins=1 << 15, fov_samples=16, replicates=8)
+            light.append(dg.simulate(scene, capture, accuracy, seed=0).total.sum())
+        power[type(material)] = np.log(light[0] / light[1]) / np.log(0.65 / 0.4)
+    assert power[dg.Retroreflector] == pytest.approx(2.0, abs=0.2)
+    assert power[dg.Lambertian] == pytest.approx(3.8, abs=0.1)
+
+
 def test_without_the_scans_the_script_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path), str(tmp_path / "picture.png")])
     made["main"]()
     assert "missing" in capsys.readouterr().out and not (tmp_path / "picture.png").exists()
+
+
+@real
+def test_the_real_letter_arrives_when_a_plate_at_its_place_would() -> None:
+    """Point by point; the letter is the fit's, and its light is moved by whole bins until it fits best."""
+    scan = made["Real"].read(REAL / made["LETTER"])
+    pulse, before = scan.pulse(np.load(REAL / made["IRF"]).astype(float))
+    letter = made["Letter"](-0.0332, -0.0559, 0.4234, 0.5358, 0.0972, 0.4963, 0.004, 0.0328)
+    bins, width = scan.fine.shape[2], made["FINE_S"]
+    light = letter.arrivals(scan.side, bins, width)
+    light = np.fft.irfft(np.fft.rfft(light, 2 * bins) * np.fft.rfft(pulse, 2 * bins), 2 * bins)
+    light = light[..., before : before + bins]
+    window = slice(round(2.9e-9 / width), round(5.5e-9 / width))
+    moved = range(-8, 9)
+    scores = np.stack([
+        [np.corrcoef(a, b)[0, 1] for a, b in zip(np.roll(light, k, axis=2)[..., window].reshape(1024, -1),
+                                               scan.fine[..., window].reshape(1024, -1), strict=True)]
+        for k in moved
+    ])  # fmt: skip
+    shift = np.array(moved)[scores.argmax(axis=0)]
+    assert abs(np.median(shift)) <= 1 and np.median(np.abs(shift)) <= 2
+    # All points together have their peak behind the plate's depth: most of them look at it from the side.
+    for mean in (light.mean(axis=(0, 1)), scan.fine.mean(axis=(0, 1))):
+        peak = (window.start + mean[window].argmax() + 0.5) * width * 299_792_458.0 / 2
+        assert peak == pytest.approx(0.528, abs=0.004)
+    # The floor is Poisson's: 1024 points of 100 bins, at the level 10⁻⁶ of a normal distribution.
+    floor = scan.fine[..., -100:]
+    assert floor.var(axis=2, ddof=1).mean() / floor.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / (1024 * 99)))
 
 
 @real
