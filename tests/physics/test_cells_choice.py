@@ -18,6 +18,7 @@ from datagen.transport.error_control.refinement import (
     quarter,
 )
 from datagen.transport.quadrature.gathering import Gathering
+from datagen.transport.quadrature.three_bounces import primary_by_cells
 from datagen.transport.reference import pairs_of
 from datagen.transport.simulate import prepared
 
@@ -132,6 +133,46 @@ def test_each_draw_of_a_trial_has_its_own_points() -> None:
     )
     assert (some == again).all()
     assert 1e-4 < np.linalg.norm(some - other) / np.linalg.norm(some) < 0.3
+
+
+def test_a_pair_of_the_trial_has_the_light_that_it_has_in_the_scan() -> None:
+    """The error of a pair was estimated for its random points: the whole scan has to have the same, for elements of a
+    ball that is half hidden and for rays to a finer one."""
+    balls = [trimesh.creation.icosphere(subdivisions=k, radius=0.3) for k in (2, 4)]
+    for ball, y in zip(balls, (-0.4, 0.4), strict=True):
+        ball.apply_translation((1.5, y, 1.2))
+    plate = rectangle((0.8, 0.0, 1.2), (0, 0.4, 0), (0, 0, 0.2))
+    parts = [Part(f"ball {k}", ball, Lambertian(ALBEDO)) for k, ball in enumerate(balls)]
+    scene = wall_and(*parts, Part("plate", plate, Lambertian(ALBEDO)))
+    gathering = Gathering.of(prepared(scene, scan_with_few_low_points(0), Accuracy(target=0.02), 0, split_parts=True))
+    assert gathering.by_rays.tolist() == [False, False, True, False]
+    pairs = pairs_of(gathering.task.capture)
+    some = pairs[[90, 7, 40]]
+    cutting, draw = np.full(4, 1e-9), np.full(4, 3)
+    alone, all_of_them = (
+        gathering.gathered(of, gathering.seen(of, 2), cutting, np.arange(4), draw).histogram for of in (some, pairs)
+    )
+    assert alone[:, 1:3].any(axis=(0, 2)).all() and (alone == all_of_them[[90, 7, 40]]).all()
+
+
+def test_few_pairs_are_all_tried() -> None:
+    """The light of a small scan has the random points and the cutting whose error was estimated."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    ball.apply_translation((1.5, 0.0, 1.2))
+    scene = wall_and(Part("ball", ball, Lambertian(ALBEDO)))
+    points = scan_with_few_low_points(0).laser.targets[:20]
+    capture = Capture(
+        Laser(DEVICE, points), Sensor(DEVICE, square_pixels(points, HALF_M)), bins_of_path(300, 0.04, 0.0), "confocal"
+    )
+    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.05), 0, split_parts=True))
+    asked = Asked(0.05, 0.125, 0.0, np.array([False, True]))
+    trial = Trial.of(gathering, pairs_of(capture), asked)
+    choice, primary = choose(trial, asked), primary_by_cells(gathering, 0.05, 0.125)
+    assert len(trial.pairs) == 20 and choice is not None and primary is not None
+    levels = quarter(trial, choice, asked, 20)
+    assert levels is not None
+    tried = trial.gathered(choice.tried_cutting, levels.levels, levels.edge_levels, choice.draw).histogram
+    np.testing.assert_array_equal(primary.rows[1].reshape(20, -1), tried[:, 1])
 
 
 def test_what_is_claimed_of_a_faint_object_is_measured_by_its_own_light() -> None:

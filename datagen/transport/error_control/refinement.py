@@ -20,9 +20,9 @@ from datagen.transport.error_control.cost import CELL, CELL_RAY
 from datagen.transport.quadrature.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
-"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between; and the most
-values (pairs × groups × bins) that the histograms of more than the fewest pairs may have. Half as many pairs stand
-for the scan less well; half as many values take half the memory."""
+"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between (all of them, if
+they are less than twice the fewest); and the most values (pairs × groups × bins) that the histograms of more than the
+fewest pairs may have. Half as many pairs stand for the scan less well; half as many values take half the memory."""
 COARSE = 1e300
 """L2 error that every element may make in the coarsest cutting: no limit, so surfaces are cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
@@ -609,6 +609,9 @@ def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 def _trials(pairs: int, values: int) -> int:
     """Number of pairs to draw for a trial out of `pairs`, whose histograms have `values` numbers each."""
+    if pairs < 2 * TRIALS[0]:
+        # One of the few pairs left out may have all the error of an object's light.
+        return pairs
     return int(np.clip(min(pairs // 32, MOST_TRIED // values), *TRIALS))
 
 
