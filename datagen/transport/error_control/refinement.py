@@ -1,12 +1,12 @@
 """How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
 
 Each object is a group of its own; of all other parts, those with a lobe are a group, and matt ones are another: a
-floor with a narrow lobe takes so many elements that its convergence would hide that of walls. A run gathers the light of the trial's pairs
-with a cutting: for each group, the L2 error that one element may make. Cuttings get finer until the difference
-between runs is small in the whole (the sum of all groups) and in each object's own light. Elements of one group may
-all make the same error, for then a given number of them brings the group nearest to the truth. A difference between
-two runs is an estimate of the error only if the finer run did more work: small triangles stay whole over many
-cuttings, and two runs of the same elements agree however wrong they are.
+floor with a narrow lobe takes so many elements that its convergence would hide that of walls. A run gathers the light
+of the trial's pairs with a cutting: for each group, the L2 error that one element may make. Cuttings get finer until
+the difference between runs is small in the whole (the sum of all groups) and in each object's own light. Elements of
+one group may all make the same error, for then a given number of them brings the group nearest to the truth. A
+difference between two runs is an estimate of the error only if the finer run did more work: small triangles stay
+whole over many cuttings, and two runs of the same elements agree however wrong they are.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from datagen.transport.error_control.cost import CELL, CELL_RAY
 from datagen.transport.quadrature.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
-"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between (all of them, if
-they are less than twice the fewest); and the most values (pairs × groups × bins) that the histograms of more than the
-fewest pairs may have. Half as many pairs stand for the scan less well; half as many values take half the memory."""
+"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between (all of them
+if they are less than twice the fewest); and the most values (pairs × groups × bins) that the histograms of more than
+the fewest pairs may have. Half as many pairs stand for the scan less well; half as many values take half the
+memory."""
 COARSE = 1e300
 """L2 error that every element may make in the coarsest cutting: no limit, so surfaces are cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
