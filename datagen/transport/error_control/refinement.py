@@ -1,11 +1,12 @@
 """How finely surfaces and pixels are cut, found on some pairs of laser point and pixel that stand for all.
 
-Each object is a group of its own, and all other parts together are one. A run gathers the light of the trial's pairs
-with a cutting: for each group, the L2 error that one element may make. Cuttings get finer until the difference
-between runs is small in the whole (the sum of all groups) and in each object's own light. Elements of one group may
-all make the same error, for then a given number of them brings the group nearest to the truth. A difference between
-two runs is an estimate of the error only if the finer run did more work: small triangles stay whole over many
-cuttings, and two runs of the same elements agree however wrong they are.
+Each object is a group of its own; of all other parts, those with a lobe are a group, and matt ones are another: a
+floor with a narrow lobe takes so many elements that its convergence would hide that of walls. A run gathers the light
+of the trial's pairs with a cutting: for each group, the L2 error that one element may make. Cuttings get finer until
+the difference between runs is small in the whole (the sum of all groups) and in each object's own light. Elements of
+one group may all make the same error, for then a given number of them brings the group nearest to the truth. A
+difference between two runs is an estimate of the error only if the finer run did more work: small triangles stay
+whole over many cuttings, and two runs of the same elements agree however wrong they are.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from datagen.transport.error_control.cost import CELL, CELL_RAY
 from datagen.transport.quadrature.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
-"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between; and the most
-values (pairs × groups × bins) that the histograms of more than the fewest pairs may have. Half as many pairs stand
-for the scan less well; half as many values take half the memory."""
+"""Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between (all of them
+if they are less than twice the fewest); and the most values (pairs × groups × bins) that the histograms of more than
+the fewest pairs may have. Half as many pairs stand for the scan less well; half as many values take half the
+memory."""
 COARSE = 1e300
 """L2 error that every element may make in the coarsest cutting: no limit, so surfaces are cut by distance alone."""
 FIRST, FINER, LEVELS = 0.03, 0.25, 12
@@ -96,7 +98,7 @@ class Asked:
     """The relative L2 errors that are asked of the whole (`target`) and of each object's own light (`part_target`).
 
     faint : energy, photons per emitted photon over all histograms, below which `part_target` does not apply.
-    objects : (K,) which parts are objects. The other parts are one group, the first of G.
+    objects : (K,) which parts are objects.
     """
 
     target: float
@@ -104,10 +106,15 @@ class Asked:
     faint: float
     objects: Bools
 
-    @property
-    def group(self) -> Ints:
-        """(K,) index of the group of each part: 0 for all parts that are no objects."""
-        return np.where(self.objects, np.cumsum(self.objects), 0)
+    def group(self, lobed: Bools) -> Ints:
+        """(K,) index of the group of each part: 0 for parts that are no objects, 1 … n for n objects, and n + 1 for
+        the parts that are no objects and have a lobe (`lobed` (K,)), if others have none."""
+        others = 1 + self.objects.sum() if (~self.objects & ~lobed).any() else 0
+        return np.where(self.objects, np.cumsum(self.objects), lobed * others)
+
+    def of_objects(self, groups: int) -> Bools:
+        """(G,) which of the groups are objects."""
+        return (np.arange(groups) > 0) & (np.arange(groups) <= self.objects.sum())
 
 
 @dataclass
@@ -150,7 +157,7 @@ class Trial:
         Half of the draw is by the light of the whole, half by that of each object: a few pairs may have all the light
         of an object, and all its error.
         """
-        task, group = gathering.task, request.group
+        task, group = gathering.task, request.group(gathering.width < 1.0)
         groups = 1 + int(group.max())
         wanted = _trials(len(lit), groups * task.capture.time.bins)
         candidates = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
@@ -165,7 +172,8 @@ class Trial:
             # Coarse elements may miss lobes, and with them the pairs that have most of the light.
             light = light + rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0], matt=True).histogram
         squares, group_squares = (light.sum(axis=1) ** 2).sum(axis=1), (light**2).sum(axis=2)
-        places, stands_for = by_light(np.sqrt(np.column_stack([squares, group_squares[:, 1:]])), wanted)
+        of_objects = group_squares[:, request.of_objects(groups)]
+        places, stands_for = by_light(np.sqrt(np.column_stack([squares, of_objects])), wanted)
         # The draw changes each group's norm by chance; `scale` takes that back.
         of_all, of_drawn = group_squares.sum(axis=0), stands_for @ group_squares[places]
         scale = np.sqrt(np.divide(of_all, of_drawn, where=of_drawn > 0, out=np.ones(groups)))
@@ -342,7 +350,7 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
     None where no cutting meets them within `max_lookins`, and where no light was found: light must then be sampled.
     """
     groups = len(trial.scale)
-    every, objects, runs = np.arange(groups), np.arange(groups) > 0, _Runs.coarsest(trial)
+    every, objects, runs = np.arange(groups), request.of_objects(groups), _Runs.coarsest(trial)
     light = runs.first_light()
     norm, group_norm = _norm(light), _norms(light)
     if norm == 0.0:
@@ -609,6 +617,9 @@ def _drawn(share: Floats, wanted: int) -> tuple[Ints, Floats]:
 
 def _trials(pairs: int, values: int) -> int:
     """Number of pairs to draw for a trial out of `pairs`, whose histograms have `values` numbers each."""
+    if pairs < 2 * TRIALS[0]:
+        # One of the few pairs left out may have all the error of an object's light.
+        return pairs
     return int(np.clip(min(pairs // 32, MOST_TRIED // values), *TRIALS))
 
 

@@ -113,12 +113,15 @@ class Tally(NamedTuple):
     Attributes
     ----------
     row_of_pair, row_of_part : (n,) and (K,) indices; the light of a pair by way of a part goes into their sum's row.
+    number : (n,) number of each pair, which seeds its random points: a pair of a trial and the same pair of the whole
+        scan have the same points.
     histogram, overflow : (rows, T) and (rows,) photons within the window and outside.
     work : (K, 2) number of elements whose light was added, and of shadow rays.
     """
 
     row_of_pair: Ints
     row_of_part: Ints
+    number: Ints
     histogram: Floats
     overflow: Floats
     work: Ints
@@ -305,7 +308,8 @@ class Gathering:
                 self.tree, self.occluders, self.lasers, batch.patches, materials.kind, materials.values, cutting,
                 self.clock,
             )  # fmt: skip
-            tally = Tally(batch.which, row_of_part * len(pairs), histogram, overflow, work)
+            number = pairs[batch.which, 0] * len(self.at_edge) + pairs[batch.which, 1]
+            tally = Tally(batch.which, row_of_part * len(pairs), number, histogram, overflow, work)
             gather(batch.pairs, scan, self.by_rays, tally, room)
             if self.by_rays.any():
                 gather_by_rays(

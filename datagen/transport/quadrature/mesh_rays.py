@@ -281,8 +281,8 @@ def _direction(fans, fan, j, n, word):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(scan, tally, fans, fan):  # type: ignore[no-untyped-def]
-    """Random word of a fan. It depends on the histogram and the mesh, but not on how footprints are quartered."""
-    return word_of(scan.cutting.seed[fans.part[fan]], tally.row_of_pair[fans.pair[fan]], fans.part[fan])
+    """Random word of a fan. It depends on the pair and the mesh, but not on how footprints are quartered."""
+    return word_of(scan.cutting.seed[fans.part[fan]], tally.number[fans.pair[fan]], fans.part[fan])
 
 
 @compiled(_nrt=False)

@@ -219,8 +219,8 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
     """
     tree, patches, tag, cell = scan.tree, scan.patches, room.tag, room.cell
     allowed, into = scan.cutting.error[k], tally.row_of_pair[pair] + tally.row_of_part[k]
-    row, root, some = tally.row_of_pair[pair], tree.roots[k], min(scan.occluders.triangles, 1)
-    turn = np.int64(word_of(scan.cutting.seed[k], row, k) >> np.uint64(8))
+    number, root, some = tally.number[pair], tree.roots[k], min(scan.occluders.triangles, 1)
+    turn = np.int64(word_of(scan.cutting.seed[k], number, k) >> np.uint64(8))
     to_z, free = LISTED + some, LISTED + 2 * some
     most, cells, rays, alight = np.inf, 0, 0, np.int64(0)
     cell[0, 16], cell[0, 17] = 1.0, UNFOUND
@@ -258,7 +258,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
                 y = half(vertex_of(cell, top, side), vertex_of(cell, top, (side + 1) % 3))
                 top = push_halves(room, top, side, (y, 0.0, 0.0), FRESH, at, q, candidates)
             continue
-        view = _view(scan, lit, p, q, k, share, row)
+        view = _view(scan, lit, p, q, k, share, number)
         becomes, only = SPREAD, -1
         if what == BOX:
             becomes = _of_box(scan, lit, view, at, k)
@@ -322,8 +322,11 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
 
 
 @compiled(**STEP)
-def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
-    """The `View` from footprint q of row p to elements of part k; the footprint stands for `share` footprints."""
+def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
+    """The `View` from footprint q of row p to elements of part k; the footprint stands for `share` footprints.
+
+    number : of the pair of laser point and pixel (`Tally.number`).
+    """
     patches, cutting = scan.patches, scan.cutting
     z, n, k3 = corner(patches.position, p, q), corner(patches.normal, p, q), patches.part[p, q]
     vertex = (z, n, corner(patches.to_sensor, p, q), scan.kind[k3], scan.values[k3])
@@ -333,7 +336,7 @@ def _view(scan, lit, p, q, k, share, row):  # type: ignore[no-untyped-def]
     of_pixel = share * patches.fraction[q] if keen > 1.0 else 1.0
     allowed, allowed_alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
     device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
-    word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(row)), np.uint64(q))
+    word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(number)), np.uint64(q))
     return View(
         p, q, z, n, vertex, patches.size[p, q], patches.footprint[p, q], patches.quarters[q, 0] >= 0,
         lit.power * patches.weight[p, q] * share, allowed, allowed_alike, keen, device, word,

@@ -57,7 +57,8 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     task = gathering.task
     pairs = pairs_of(task.capture)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
-    trial = Trial.of(gathering, pairs[task.points.part[pairs[:, 0]] >= 0], asked)
+    lit = pairs[task.points.part[pairs[:, 0]] >= 0]
+    trial = Trial.of(gathering, lit, asked)
     while True:
         choice = choose(trial, asked)
         quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
@@ -68,11 +69,15 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
         # Smaller footprints see light that those of the trial missed (a narrow lobe passes between their points): how
         # finely its elements have to be cut is not known yet.
         trial = replace(trial, levels=quartering.levels, seen={})
-    cutting, parts = choice.cutting[trial.group], len(asked.objects)
+    # Errors of the trial's pairs are known for the cutting that was tried: only if others are left, a cheaper cutting
+    # in between is worth its uncertainty.
+    cutting = choice.tried_cutting if len(trial.pairs) == len(lit) else choice.cutting
+    parts = len(asked.objects)
     rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
     levels = max(quartering.levels, gathering.ray_levels())
     seen = gathering.seen(pairs, levels, quartering.edge_levels)
-    found = gathering.gathered(pairs, seen, cutting, rows)
+    # With the random points of the trial, whose pairs then have the errors that were estimated.
+    found = gathering.gathered(pairs, seen, cutting[trial.group], rows, choice.draw[trial.group])
     shape, names = task.capture.shape, task.scene.part_names
     # Errors of elements and of footprints are independent of each other, so their squares add up.
     errors = np.hypot(choice.group_error, quartering.group_error) / np.where(choice.claimed, choice.group_norm, 1.0)
