@@ -110,11 +110,11 @@ class Asked:
         """(K,) index of the group of each part: 0 for parts that are no objects, 1 … n for n objects, and n + 1 for
         the parts that are no objects and have a lobe (`lobed` (K,)), if others have none."""
         others = 1 + self.objects.sum() if (~self.objects & ~lobed).any() else 0
-        return np.where(self.objects, np.cumsum(self.objects), lobed * others)
+        return np.asarray(np.where(self.objects, np.cumsum(self.objects), lobed * others), np.int64)
 
     def of_objects(self, groups: int) -> Bools:
         """(G,) which of the groups are objects."""
-        return (np.arange(groups) > 0) & (np.arange(groups) <= self.objects.sum())
+        return np.asarray((np.arange(groups) > 0) & (np.arange(groups) <= self.objects.sum()))
 
 
 @dataclass
