@@ -212,6 +212,11 @@ def _light_path(again: Replay) -> str:
     lasers, pixels, _ = again.capture.shape
     if again.capture.illumination == "flood":
         count = len(again.capture.laser.targets)
+        if "direct" in again.transient.components:
+            return (
+                f"Light goes from the laser as a flood (its {count} quadrature points are shown) to what it meets "
+                f"first, and back into the sensor ({_n(pixels, 'pixel')}), straight and by way of other surfaces."
+            )
         lit = f"as a flood over the relay wall (its {count} quadrature points are shown)"
     else:
         lit = f"to {_n(lasers, 'laser point')} on the relay wall"

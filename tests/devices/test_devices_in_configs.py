@@ -161,6 +161,16 @@ def test_a_device_looks_straight_at_an_object() -> None:
     assert straight < 24
 
 
+def test_a_room_without_a_place_to_look_from_is_refused() -> None:
+    config = configured(capture={"at_objects": {"distance_m": 50.0}})
+    with pytest.raises(InputError, match=r"capture\.at_objects: none of 256 places sees an object") as caught:
+        dg.capture_for(config, dg.scene_for(config, 0))
+    assert "\n" not in str(caught.value)
+    hidden = configured(capture={"sensor_offset_m": [0.0, 9.0, 0.0]})
+    with pytest.raises(InputError, match=r"capture\.sensor_offset_m: .* hides 1 of 1 point"):
+        dg.capture_for(hidden, dg.scene_for(hidden, 0))
+
+
 STORED = ["histogram", "transient", "transient_stderr", "objects", "evidence", "background_histogram",
           "background_transient"]  # fmt: skip
 

@@ -15,7 +15,7 @@ from datasets import write_dataset
 from fake_samples import fake_sample, small_config
 
 import datagen as dg
-from datagen.config import DatasetConfig, load_config
+from datagen.config import DatasetConfig, load_config, time_axes
 from datagen.store import committed, read_manifest, schema_of, verify
 from datagen.store.card import card as card_text
 from datagen.store.schema import SCHEMA_VERSION
@@ -61,7 +61,7 @@ def configs() -> list[DatasetConfig]:
 
 def test_a_name_of_an_axis_has_one_size() -> None:
     for config in configs():
-        sizes: dict[str, set[int]] = {"bin": {config.capture.time.bins}}
+        sizes = {axis: {time.bins} for axis, time in time_axes(config).items()}
         schema = schema_of(config)
         for field in schema.fields:
             for name, size in zip(field.dims, (schema.scenes, *field.shape), strict=True):

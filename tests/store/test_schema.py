@@ -10,7 +10,7 @@ from fake_samples import small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config import DatasetConfig, config_from_mapping, time_axes
 from datagen.errors import InputError
 from datagen.store import schema_of
 from datagen.store.arrays import metadata_files
@@ -63,7 +63,7 @@ def test_metadata_follows_the_store_layout() -> None:
     import json
 
     config = small_config()
-    files = metadata_files(schema_of(config), config.capture.time)
+    files = metadata_files(schema_of(config), time_axes(config))
     histogram = json.loads(files["data.zarr/histogram/zarr.json"])
     assert histogram["dimension_names"] == ["scene", "laser", "pixel", "bin"]
     assert histogram["shape"] == [12, 4, 1, 16] and histogram["chunk_grid"]["configuration"]["chunk_shape"][0] == 4
