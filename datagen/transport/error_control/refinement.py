@@ -114,7 +114,7 @@ class Asked:
 
     def of_objects(self, groups: int) -> Bools:
         """(G,) which of the groups are objects."""
-        return (np.arange(groups) > 0) & (np.arange(groups) <= self.objects.sum())
+        return np.isin(np.arange(groups), 1 + np.arange(self.objects.sum()))
 
 
 @dataclass

@@ -380,7 +380,7 @@ def _points(patches, p, y, footprint_ratio, word, chosen, waiting):  # type: ign
     while top > 0:
         top -= 1
         q, level = waiting[top, 0], waiting[top, 1]
-        finest, stands_for, edge = quarters[q, 0] < 0, 1, patches.uneven[p, q]
+        finest, stands_for, edge = quarters[q, 0] < 0, np.int64(1), patches.uneven[p, q]
         if edge and not finest and level == EDGE_LEVEL:
             # Areas on both sides of an edge need many points: one of its finest footprints, at random, stands for it.
             whole, word = q, mix(word, np.uint64(q))
