@@ -57,9 +57,8 @@ positive. Half of it takes noise for light in the first rounds."""
 LEAST_LEFT = 0.1
 """Least share of the square of the target that is left to sampled light, whatever light by quadrature has used up.
 Half of it may cost twice the samples."""
-SEARCH_GROWTH, NOTHING_AFTER = 8, 1 << 16
-"""Factor by which a round grows while no light was met, and number of samples after which the search ends: there is
-no light. Half of the second misses light that is up to twice as frequent."""
+SEARCH_GROWTH = 8
+"""Factor by which a round grows while hardly any light was met. Half of it takes more rounds."""
 DARK = 1e-200
 """Σ of squared photons per emitted photon up to which a transient counts as zero: the tail of a narrow lobe may bring
 e⁻⁵⁰⁰, whose square is too small a number to divide by."""
@@ -100,7 +99,7 @@ def sampled(problem: Problem, known: Known | None) -> Estimate:
             bound = math.sqrt((variance * factor + of_known) / truth)
             left = max(MARGIN * target**2 * truth - of_known, LEAST_LEFT * target**2 * truth)
             if bound <= target:
-                additions = _confirming(strata)
+                additions = _met(strata, budget) or _confirming(strata)
                 outcome = "" if additions else "target met"
             else:
                 more = rounds < ROUNDS_AT_MOST
@@ -144,12 +143,21 @@ def _uncertainty(strata: list[Stratum]) -> tuple[float, float, float]:
 def _search(strata: list[Stratum], budget: float) -> Additions:
     """A larger round for strata that have met no light so far; empty if `NOTHING_AFTER` samples have met none, or if
     the round would exceed the budget."""
-    more = [SEARCH_GROWTH * stratum.rounds[-1].each for stratum in strata]
+    return [] if all(of.searched for of in strata) else _larger(strata, [True] * len(strata), budget)
+
+
+def _met(strata: list[Stratum], budget: float) -> Additions:
+    """A larger round for strata that have met so little light that its scatter says nothing of the error; empty if
+    there are none, or if the round would exceed the budget."""
+    scarcely = [of.scarcely_met for of in strata]
+    return _larger(strata, scarcely, budget) if any(scarcely) else []
+
+
+def _larger(strata: list[Stratum], which: list[bool], budget: float) -> Additions:
+    """A round `SEARCH_GROWTH` times as large as the last one for some strata; empty if it would exceed the budget."""
+    more = [SEARCH_GROWTH * of.rounds[-1].each * grows for of, grows in zip(strata, which, strict=True)]
     rays = sum(of.rays + of.rays_per_sample * each * REPLICATES for of, each in zip(strata, more, strict=True))
-    lasers = len(strata[0].problem.points.part)
-    if min(of.samples * lasers for of in strata) >= NOTHING_AFTER or rays > budget:
-        return []
-    return [(each, REPLICATES) for each in more]
+    return [] if rays > budget else [(each, REPLICATES) for each in more]
 
 
 def _confirming(strata: list[Stratum]) -> Additions:
@@ -254,19 +262,32 @@ class Forecast:
     wanted: float
 
     def costs_less_than(self, cost: float) -> bool:
-        """Whether sampling costs less than `cost`; False, without a look, where a first round would not be cheap
-        beside `cost`."""
-        samples, capture = _first_samples(self.problem) * REPLICATES, self.problem.capture
+        """Whether sampling costs less than `cost`; False, without a look, where rounds that meet enough light to tell
+        would not be cheap beside `cost`."""
+        stratum, each = self.stratum, _first_samples(self.problem)
+        while not stratum.rounds or stratum.scarcely_met:
+            each = SEARCH_GROWTH * stratum.rounds[-1].each if stratum.rounds else each
+            if cost <= LOOK_FROM * self._cost_of_round(each):
+                return False
+            stratum.sample(each, REPLICATES, next(self.seeds))
+        # Extrapolated from rounds whose variance falls inversely with the number of samples.
+        variance = total_variance(stratum.scatters())
+        return cost > stratum.work.cost + stratum.work.marginal_cost * variance / self.wanted**2
+
+    @cached_property
+    def stratum(self) -> Stratum:
+        """The components, with the rounds that were sampled so far."""
+        return Stratum(with_usual_fov_samples(self.problem))
+
+    @cached_property
+    def seeds(self) -> Iterator[int]:
+        """Seeds of the rounds to come."""
+        return _seeds(self.problem.seed)
+
+    def _cost_of_round(self, each: int) -> float:
+        """Cost of a round with `each` samples of each laser point in each replicate."""
+        samples, capture = each * REPLICATES, self.problem.capture
         vertices = samples * len(self.problem.points.part)
         # Two rays of each sample; and FoV points, which the laser points share.
         rays = 2.0 * vertices + samples * len(capture.sensor.pixels)
-        first_round = Work(rays, vertices * capture.shape[1], REPLICATES * math.prod(capture.shape)).cost
-        return cost > LOOK_FROM * first_round and cost > self.cost
-
-    @cached_property
-    def cost(self) -> float:
-        """The cost, extrapolated from a first round whose variance falls inversely with the number of samples."""
-        stratum = Stratum(with_usual_fov_samples(self.problem))
-        stratum.sample(_first_samples(self.problem), REPLICATES, next(_seeds(self.problem.seed)))
-        variance = total_variance(stratum.scatters())
-        return stratum.work.cost + stratum.work.marginal_cost * variance / self.wanted**2
+        return Work(rays, vertices * capture.shape[1], REPLICATES * math.prod(capture.shape)).cost

@@ -29,6 +29,10 @@ FACTORISED_FROM = 1 << 17
 FINE_PATCH = 4.0
 """Size of a pixel's patch, in bins or in hundredths of the scene, up to which one FoV point for each vertex is
 enough: the light is the same all over the patch. Half of it draws more FoV points without need."""
+SCARCE, NOTHING_AFTER = 32, 1 << 16
+"""Vertices that could bring light up to which the scatter of a stratum says nothing of its error (half of it claims
+too little error where paths with light are rare); and samples after which their light is taken to be all there is.
+Half of the second misses light that is up to twice as frequent."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
 """FoV points that a vertex connects to in a pixel whose patch is larger, and most of them over all pixels. With half
 as many, the same light takes more rays; with twice as many, vertices connect to points that add no information."""
@@ -100,6 +104,20 @@ class Stratum:
     def rays_per_sample(self) -> int:
         """Rays that one sample counts as where `Accuracy.max_lookins` limits them."""
         return self.observed or 1
+
+    @property
+    def searched(self) -> bool:
+        """Whether no more samples are taken in search of light."""
+        return self.samples * len(self.problem.points.part) >= NOTHING_AFTER
+
+    @property
+    def scarcely_met(self) -> bool:
+        """Whether path tracing has met so few vertices that could bring light that their scatter says nothing of the
+        error."""
+        if self.observed is not None or self.problem.tally_rows.components == ("direct",):
+            return False
+        connections = self.problem.capture.shape[1] * int(self.problem.accuracy.fov_samples)
+        return self.work.bright <= SCARCE * connections and not self.searched
 
     @property
     def cost_per_sample(self) -> float:
