@@ -72,7 +72,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         ),
         "",
         *_class_lines(schema),
-        *_time_lines(config["capture"]),
+        *_time_lines(manifest),
         "Lengths are metres, in the frame of each file; right-handed."
         if manifest.imported
         else "Lengths are metres, z up, right-handed.",
@@ -219,14 +219,21 @@ def _class_lines(schema: Schema) -> list[str]:
     return lines
 
 
-def _time_lines(capture: dict[str, Any]) -> list[str]:
-    """A line on the time axis and the pairing."""
-    axis, pairing = capture["time"], capture["pairing"]
-    start, width = f"{axis['start_ns']:g}", f"{axis['bin_width_ps'] / 1000:g}"
+def _time_lines(manifest: Manifest) -> list[str]:
+    """A line on the axes of time and the pairing."""
+    capture = manifest.config["capture"]
+    axis, pairing, merged = capture["time"], capture["pairing"], manifest.bins_merged
+    start = f"{axis['start_ns']:g}"
     origin = "laser emission" if axis["origin"] == "source" else "the laser point (device legs left out)"
     pixels = " (pixel i looks at laser point i, so `pixel` has length 1)" if pairing == "confocal" else ""
+
+    def covered(width_ps: float) -> str:
+        width = f"{width_ps / 1000:g}"
+        return f"[{start} + i · {width}, {start} + (i + 1) · {width}) ns"
+
+    finer = f", and bin `i` of `transient_bin` {covered(axis['bin_width_ps'])}" if merged > 1 else ""
     return [
-        f"Bin `i` covers [{start} + i · {width}, {start} + (i + 1) · {width}) ns, counted from {origin}. "
+        f"Bin `i` covers {covered(merged * axis['bin_width_ps'])}{finer}, counted from {origin}. "
         f"Pairing: {pairing}{pixels}.",
     ]
 
