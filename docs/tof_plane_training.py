@@ -24,6 +24,7 @@ import numpy as np
 import torch
 import trimesh
 from evidence_training import Array
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import nn
 
@@ -409,6 +410,9 @@ def draw(found: Found, out: Path) -> None:
             axes.plot(each, np.full(len(each), row), "o", color="#D55E00" if name == WHOLE else "#0072B2", alpha=0.7)
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="median |error| (mm)", xscale="log", title="left out of the simulation")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         save_png(figure, out)
 
 
