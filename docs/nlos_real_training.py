@@ -584,9 +584,8 @@ def draw(found: Found, out: Path) -> None:
                     panel.contour(found.outline, [0.5], colors="#D55E00", linewidths=0.8)
                 framed(panel)
                 score = f", overlap {overlap(mask, found.outline):.2f}" if name == LETTER else ""
-                panel.set_title(f"{found.depth_m(name, (mask, depth)):.3f} m{score}", fontsize=8)
-                if row == 0:
-                    panel.set_title(f"{method}\n{panel.get_title()}", fontsize=8)
+                above = f"{method}\n" if row == 0 else ""
+                panel.set_title(f"{above}{found.depth_m(name, (mask, depth)):.3f} m{score}", fontsize=8)
                 if column == 0:
                     panel.set_ylabel(label)
         save_png(figure, out)

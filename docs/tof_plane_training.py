@@ -24,6 +24,7 @@ import numpy as np
 import torch
 import trimesh
 from evidence_training import Array
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 from torch import nn
 
@@ -31,6 +32,7 @@ import datagen as dg
 from datagen.devices import Device, Frames, calibrate
 from datagen.devices.calibrate import peak_positions
 from datagen.report.style import captioned, house_style, save_png
+from datagen.transport.flood import at_sensor
 
 SWEEP = "tmf8820_plane.json.gz"
 RANGE_M = (0.1, 0.4)
@@ -130,9 +132,16 @@ def glass_of(device: Device) -> Array:
     return light_of(device, facing) - light_of(changed(device, "zones", glass=()), facing)
 
 
+def bare(device: Device) -> Device:
+    """The device without what a sensor does to the light of all its zones: crosstalk, delays, and the cover glass."""
+    return changed(device, "zones", crosstalk=0.0, delays_ps=(), glass=())
+
+
 def counts_of(device: Device, glass: Array, albedo: Array, light: Array) -> Array:
-    """(albedo, zones, device's bins) expected counts before a plane whose light, with albedo 1, is `light`."""
-    mixed = np.maximum(glass, 0.0) + albedo[:, None, None] * light
+    """(albedo, zones, device's bins) expected counts before a plane whose light in the bare device, with albedo 1, is
+    `light` (zones, bins)."""
+    capture = device.at((0, 0, 0), (1, 0, 0))[0]
+    mixed = np.maximum(glass, 0.0) + albedo[:, None, None] * at_sensor(light[None], capture)
     return dg.expected_histogram(mixed, device.axis, device.spad, device.exposure).astype(np.float32)
 
 
@@ -143,12 +152,11 @@ def simulated(devices: Mapping[str, Device], planes: Planes, workers: int) -> di
     found = {}
     with several(workers) as pool:
         for name, device in devices.items():
-            bare = changed(device, "zones", glass=())
-            key = bare.zones.model_dump_json() + bare.time.model_dump_json()
+            key = bare(device).zones.model_dump_json() + device.time.model_dump_json()
             if key not in lights:
                 # Few lights are kept at once: only the first device's is used again.
                 lights = dict(list(lights.items())[:1])
-                lights[key] = list(pool.map(partial(light_of, bare), each, chunksize=16))
+                lights[key] = list(pool.map(partial(light_of, bare(device)), each, chunksize=16))
             counted = partial(counts_of, device, glass_of(device))
             counts = pool.map(counted, planes.albedo, lights[key], chunksize=16)
             found[name] = torch.from_numpy(np.concatenate(list(counts)))
@@ -174,10 +182,7 @@ def with_zones(device: Device, side: float | None) -> Device:
     boxes = nominal_boxes() if side is None else tuple((x, y, side, side) for x, y, _, _ in device.zones.boxes)
     other = changed(device, "zones", boxes=boxes, blur=0.0, glass=())
     facing = (0.3, 0.0, 0.0)
-    before, after = (
-        light_of(changed(of, "zones", crosstalk=0.0, delays_ps=(), glass=()), facing).sum(axis=1)
-        for of in (device, other)
-    )
+    before, after = (light_of(bare(of), facing).sum(axis=1) for of in (device, other))
     gains = tuple((np.array(device.zones.gains) * before / after).tolist())
     return changed(other, "zones", gains=gains, glass=device.zones.glass)
 
@@ -405,6 +410,9 @@ def draw(found: Found, out: Path) -> None:
             axes.plot(each, np.full(len(each), row), "o", color="#D55E00" if name == WHOLE else "#0072B2", alpha=0.7)
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="median |error| (mm)", xscale="log", title="left out of the simulation")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         save_png(figure, out)
 
 
@@ -413,7 +421,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     arguments.add_argument("folder", type=Path)
     arguments.add_argument("out", type=Path)
-    for name, default in (("planes", 1200), ("epochs", 40), ("seeds", 4), ("workers", 2)):
+    for name, default in (("planes", 600), ("epochs", 60), ("seeds", 3), ("workers", 2)):
         arguments.add_argument(f"--{name}", type=int, default=default)
     asked = arguments.parse_args()
     path = asked.folder / SWEEP
