@@ -31,6 +31,10 @@ FIRST, FINER, LEVELS = 0.03, 0.25, 12
 """Error that an element may make in the second cutting, relative to the norm of its group; factor of that error from
 one cutting to the next; and the most cuttings. Half of `FIRST` or `FINER` reaches a strict target in fewer runs, and
 a loose one with more elements than it needs; half of `LEVELS` gives up strict targets."""
+LEAP = 2
+"""Most steps `FINER` from one cutting to the next. Half of it takes more runs where the first ones found too much
+light; with twice as much, elements of narrow lobes are halved for minutes before the budget is known to be
+exceeded."""
 GROWN = 1.5
 """Factor by which one run must have more elements than another for their difference to be an estimate of error. With
 half of it, two runs of the same elements would confirm each other."""
@@ -361,8 +365,10 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
     negligible = np.where(by_rays, NEGLIGIBLE_BY_RAYS, NEGLIGIBLE)
     cutting = share / FINER * np.maximum(group_norm, unseen * norm)
     while True:
-        # A group that turns out to have less light than the first runs had found needs more than one step.
-        cutting = np.minimum(FINER * cutting, share * np.maximum(group_norm, unseen * norm))
+        # A group that turns out to have less light than the first runs had found needs more than one step, but a leap
+        # might take hours, of which the runs so far say nothing.
+        wanted = np.minimum(FINER * cutting, share * np.maximum(group_norm, unseen * norm))
+        cutting = np.maximum(wanted, FINER**LEAP * cutting)
         before = trial.work.cells + trial.work.rays
         runs.refine(cutting)
         light, finest = runs.histograms[-1], runs.finest
