@@ -58,6 +58,21 @@ CONCAVE_RAD = 0.1
 """Angle of a concave edge from which it divides a mesh into parts. Halved, coarsely curved ones are, too."""
 TAIL_BINS = 8.0
 """Decay of the late light that `Comparison.left` looks for, bins. Halved, it is taken for a wider pulse."""
+MOST_ZONES_LISTED = 64
+"""Zones up to which the table has a line for each. Halved, sensors of 8 × 8 zones get none."""
+MEANING = {
+    "brightness": "gains of zones, albedos that vary over a part, gloss",
+    "time": "places of sensor, mesh and zones; delays; drift",
+    "width": "pulse, size of zones, rough surfaces",
+    "late light": "light of several bounces, tail of the pulse, what the mesh lacks",
+}
+MOST_PARTS = 8
+"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, so is a table with four
+things on it."""
+UNIT = 0.5
+"""Albedo that light is simulated with and then divided by."""
+TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
+"""Steps of the differences of turns and shifts. Halved, the noise of rays at edges doubles in them."""
 
 
 @dataclass(frozen=True)
@@ -159,16 +174,6 @@ class Comparison:
         return "\n".join(lines)
 
 
-MOST_ZONES_LISTED = 64
-"""Zones up to which the table has a line for each. Halved, sensors of 8 × 8 zones get none."""
-MEANING = {
-    "brightness": "gains of zones, albedos that vary over a part, gloss",
-    "time": "places of sensor, mesh and zones; delays; drift",
-    "width": "pulse, size of zones, rough surfaces",
-    "late light": "light of several bounces, tail of the pulse, what the mesh lacks",
-}
-
-
 def relative_l2(modelled: Floats, measured: Floats) -> Floats:
     """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
     return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
@@ -202,13 +207,6 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     if len(set(names)) < len(names):
         raise InputError(f"--mesh: {', '.join(names)}: two files give parts of one name; rename a file")
     return parts
-
-
-MOST_PARTS = 8
-"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, so is a table with four
-things on it."""
-UNIT = 0.5
-"""Albedo that light is simulated with and then divided by."""
 
 
 def compare(
@@ -498,6 +496,8 @@ class _Unknown:
 
 
 def _placing(which: str, turn_rad: float, shift_m: float) -> Callable[[_State], list[_Unknown]]:
+    """What gives the six numbers of the placing `which`, with the standard deviations of turns and shifts."""
+
     def unknowns(state: _State) -> list[_Unknown]:
         values = getattr(state, which)
         turns = [
@@ -513,11 +513,8 @@ def _placing(which: str, turn_rad: float, shift_m: float) -> Callable[[_State], 
     return unknowns
 
 
-TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
-"""Steps of the differences of turns and shifts. Halved, the noise of rays at edges doubles in them."""
-
-
 def _of_zones(state: _State) -> list[_Unknown]:
+    """The numbers of the device, each with itself as the mean of its prior, in the order of `_with_zones`."""
     zones, light = state.device.zones, state.device.light
     count, boxes = zones.count, np.array(zones.placed())
     gains = np.array(zones.gains or [1.0] * count)
@@ -558,6 +555,7 @@ def _moved(state: _State, groups: Sequence[Group], values: Floats) -> _State:
 
 
 def _with_zones(sensor: Device, values: Floats) -> Device:
+    """The device with other numbers (4 zones + 5,)."""
     count = sensor.zones.count
     right, up, gains, delays, rest = np.split(values, [count, 2 * count, 3 * count, 4 * count])
     width, height, blur, crosstalk, spread = np.exp(rest)

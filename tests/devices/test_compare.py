@@ -72,7 +72,8 @@ def parts_of(folder: Path) -> list[dg.Part]:
 
 def test_a_turned_mount_and_albedos_are_found(session: dg.Frames, tmp_path: Path) -> None:
     """From the poses as stated histograms are 20 % off; with the mount fitted noise is left."""
-    found = dg.compare(session, dg.device("tmf8820"), parts_of(tmp_path), fit=("hand",))
+    alone = dg.device("tmf8820").model_copy(update={"name": "mine"})  # in one mode, which halves the time
+    found = dg.compare(session, alone, parts_of(tmp_path), fit=("hand",))
     before, after = found.steps["albedos, floor"][0], found.steps["+ hand"][0]
     assert before > 0.1 and after < 0.02
     assert np.median(found.relative_l2) < 0.02 and len(found.measured) == 12
@@ -176,6 +177,13 @@ def test_the_real_pyramid_agrees_as_far_as_stated() -> None:
     whole = dg.read_frames(CAPTURES)
     assert whole.poses is not None
     frames = replace(whole, histograms=whole.histograms[1::4], poses=whole.poses[1::4], reference=None)
-    found = dg.compare(frames, dg.device("tmf8820"), dg.read_parts([MESH]))
+    found = dg.compare(frames, dg.device("tmf8820"), dg.read_parts([MESH]), fit=("hand",))
     assert found.simulated_as == "tmf8820"
-    assert np.median(found.relative_l2) < 0.08 and np.percentile(found.relative_l2, 90) < 0.2
+    assert np.median(found.relative_l2) < 0.1 and np.percentile(found.relative_l2, 90) < 0.2
+
+
+@pytest.mark.nightly
+@real
+def test_the_real_pyramid_agrees_as_far_as_the_documentation_says() -> None:
+    found = dg.compare(dg.read_frames(CAPTURES), dg.device("tmf8820"), dg.read_parts([MESH]))
+    assert np.median(found.relative_l2) < 0.065 and np.percentile(found.relative_l2, 90) < 0.14

@@ -244,7 +244,7 @@ def test_exports_have_both_axes_of_time(merged: Path, tmp_path: Path) -> None:
         assert len(file["transient_bin_edges_s"]) == 1025
         np.testing.assert_allclose(file["bin_edges_s"], file["transient_bin_edges_s"][::8], rtol=1e-12, atol=1e-21)
     card = (merged / "README.md").read_text(encoding="utf-8")
-    assert "+ (i + 1) · 0.0951298) ns, and bin `i` of `transient_bin`" in card and "· 0.0118912) ns, counted" in card
+    assert "+ (i + 1) · 0.0953393) ns, and bin `i` of `transient_bin`" in card and "· 0.0119174) ns, counted" in card
     scene = Scenes(merged).read(0)
     assert scene.time.bins == 128 and scene.manifest.time_of("background_transient").bins == 1024
     xarray = pytest.importorskip("xarray")
