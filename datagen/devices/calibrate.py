@@ -85,9 +85,7 @@ class Calibration:
     @cached_property
     def relative_l2(self) -> Floats:
         """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
-        return np.asarray(
-            np.linalg.norm(self.modelled - self.measured, axis=2) / np.linalg.norm(self.measured, axis=2)
-        )
+        return relative_l2(self.modelled, self.measured)
 
     @cached_property
     def brightness_error(self) -> Floats:
@@ -115,6 +113,25 @@ class Calibration:
             f"{np.median(shift, axis=0).max():.3f}",
         ]
         return "\n".join(lines)
+
+
+def relative_l2(modelled: Floats, measured: Floats) -> Floats:
+    """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
+    return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
+
+
+def clustered_covariance(jacobian: Floats, residuals: Floats, frames: int) -> Floats:
+    """(k, k) covariance of k numbers of a least-squares fit, from its Jacobian (rows, k) and residuals (rows,).
+
+    The first rows that residuals are given for are those of the frames, one frame after the other; rows beyond them,
+    such as those of priors, add information only. The gradients of each frame are summed before they are squared, so
+    that a misfit that all zones and bins of a frame share counts once (the sandwich of White, Econometrica 48, 817
+    (1980), by clusters).
+    """
+    data = len(residuals)
+    by_frame = (jacobian[:data] * residuals[:, None]).reshape(frames, -1, jacobian.shape[1]).sum(axis=1)
+    information = np.linalg.pinv(jacobian.T @ jacobian)
+    return np.asarray(information @ (by_frame.T @ by_frame) @ information)
 
 
 def peak_positions(histograms: Floats) -> Floats:
@@ -480,22 +497,17 @@ class _ShapeProblem:
     start: _Shape
 
     def solved(self) -> tuple[_Shape, Floats, Floats]:
-        """The fitted shape, the covariance of its parameters, and the pulse (samples,), of sum 1.
-
-        The covariance sums the gradients of each frame before squaring them, so that a misfit that all zones and bins
-        of a frame share counts once (the sandwich of White, Econometrica 48, 817 (1980), by clusters).
-        """
+        """The fitted shape, the covariance of its parameters (`clustered_covariance`), and the pulse (samples,), of
+        sum 1."""
         begin = self.start.parameters
         scale = np.array([1.0, 0.1, 0.02, 0.02, 0.01, *np.full(len(begin) - 5, 0.1)])
         found = scipy.optimize.least_squares(
             lambda p: self.residuals(self.start.moved(p))[0], begin, x_scale=scale, max_nfev=15, diff_step=1e-4
         )
         shape = self.start.moved(found.x)
-        information = np.linalg.pinv(found.jac.T @ found.jac)
-        frames = len(self.z)
         data = len(found.fun) - len(self.priors(shape))
-        by_frame = (found.jac[:data] * found.fun[:data, None]).reshape(frames, -1, len(begin)).sum(axis=1)
-        return shape, information @ (by_frame.T @ by_frame) @ information, self.residuals(shape)[1]
+        covariance = clustered_covariance(found.jac, found.fun[:data], len(self.z))
+        return shape, covariance, self.residuals(shape)[1]
 
     def residuals(self, shape: _Shape) -> tuple[Floats, Floats]:
         """Residuals of all histograms with the best pulse, each relative to its energy, then those of the priors; and

@@ -28,7 +28,15 @@ from scipy.spatial.transform import Rotation
 
 from datagen.config.device import device_names
 from datagen.detector import expected_histogram
-from datagen.devices.calibrate import Fitted, blind_periods, peak_positions, saturated, unsaturated
+from datagen.devices.calibrate import (
+    Fitted,
+    blind_periods,
+    clustered_covariance,
+    peak_positions,
+    relative_l2,
+    saturated,
+    unsaturated,
+)
 from datagen.devices.frames import Frames
 from datagen.devices.model import Device, device
 from datagen.errors import InputError
@@ -174,11 +182,6 @@ class Comparison:
         return "\n".join(lines)
 
 
-def relative_l2(modelled: Floats, measured: Floats) -> Floats:
-    """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
-    return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
-
-
 def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     """The parts of mesh files in metres, in the coordinates of the poses: their albedos are fitted one by one.
 
@@ -252,21 +255,20 @@ def compare(
     steps: dict[str, tuple[float, float]] = {}
     numbers: dict[str, Fitted] = {}
 
-    def noted(what: str, state: _State) -> float:
+    def noted(what: str, state: _State) -> None:
         error = session.errors(state, tested)
         steps[what] = float(np.median(error)), float(np.percentile(error, 90))
-        return steps[what][0]
 
-    first = groups[:1]
+    begun = [session.solved(state, groups[:1], fitted) if groups else (state, numbers) for state in states]
+    chosen = 0
     if len(states) > 1:
-        tried = [session.solved(state, first, fitted)[0] if first else state for state in states]
-        found = [float(np.median(session.errors(state, tested))) for state in tried]
-        states = [states[int(np.argmin(found))]]
-    (state,) = states
-    noted("albedos, floor", state)
-    for count in range(1, len(groups) + 1):
-        state, numbers = session.solved(state, groups[:count], fitted)
-        noted(f"+ {groups[count - 1]}", state)
+        chosen = int(np.argmin([np.median(session.errors(state, tested)) for state, _ in begun]))
+    noted("albedos, floor", states[chosen])
+    state, numbers = begun[chosen]
+    for count, group in enumerate(groups, 1):
+        if count > 1:
+            state, numbers = session.solved(state, groups[:count], fitted)
+        noted(f"+ {group}", state)
     albedos, floor, errors = session.linear(state, fitted)
     names = session.scene.part_names
     of_parts = {f"albedo of {name}": Fitted(a, e) for name, a, e in zip(names, albedos, errors, strict=False)}
@@ -314,9 +316,7 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
     # A floor that the simulation has, too, may have to be lowered.
     (scale, floor), *_ = np.linalg.lstsq(design, (measured * weight).ravel())
     residual = (measured * weight).ravel() - design @ [scale, floor]
-    by_scene = (design * residual[:, None]).reshape(len(common), -1, 2).sum(axis=1)
-    bread = np.linalg.pinv(design.T @ design)
-    errors = np.sqrt(np.diag(bread @ (by_scene.T @ by_scene) @ bread))
+    errors = np.sqrt(np.diag(clustered_covariance(design, residual, len(common))))
     fitted = {
         "scale": Fitted(float(scale), float(errors[0])),
         "floor (counts a bin)": Fitted(float(floor), float(errors[1])),
@@ -423,9 +423,7 @@ class _Session:
     def linear(self, state: _State, frames: Ints) -> tuple[Floats, float, Floats]:
         """Albedos (K,), the floor in events per cycle, and standard errors (K + 1,), by frames, of both."""
         found, _, design, residual = self.balanced(state, frames)
-        by_frame = (design * residual[:, None]).reshape(len(frames), -1, design.shape[1]).sum(axis=1)
-        bread = np.linalg.pinv(design.T @ design)
-        errors = np.sqrt(np.maximum(np.diag(bread @ (by_frame.T @ by_frame) @ bread), 0.0))
+        errors = np.sqrt(np.maximum(np.diag(clustered_covariance(design, residual, len(frames))), 0.0))
         return found[:-1], float(found[-1]), errors
 
     def residuals(self, state: _State, frames: Ints) -> Floats:
@@ -471,9 +469,7 @@ class _Session:
             residuals, np.zeros(len(unknowns)), jac=jacobian, max_nfev=STEPS, xtol=1e-3, ftol=1e-4
         )
         data = len(found.fun) - len(unknowns)
-        by_frame = (found.jac[:data] * found.fun[:data, None]).reshape(len(frames), -1, len(unknowns)).sum(axis=1)
-        bread = np.linalg.pinv(found.jac.T @ found.jac)
-        errors = np.sqrt(np.diag(bread @ (by_frame.T @ by_frame) @ bread)) * unit
+        errors = np.sqrt(np.diag(clustered_covariance(found.jac, found.fun[:data], len(frames)))) * unit
         values = begin + found.x * unit
         numbers = {
             unknown.name: Fitted(float(value * unknown.shown), float(error * unknown.shown))

@@ -66,16 +66,7 @@ def read_frames(path: str | Path) -> Frames:
         raise InputError(f"{path}: its suffix says no format of frames; they are {', '.join(SUFFIXES)}")
     try:
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except DAMAGED as error:
         raise InputError(f"{path}: holds no frames of a sensor ({error})") from None
     frames = Frames(path.name, **found)
     counts = frames.histograms
