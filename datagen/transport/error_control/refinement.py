@@ -66,6 +66,10 @@ LOOKED_AT, EVENLY = 12, 0.25
 """Pairs whose light is computed roughly, for each pair that is drawn for the trial; and the weight of an even draw
 beside a draw by light. Half of the first may miss the few pairs that have an object's light; half of the second lets
 dim pairs stand for more others."""
+BRIGHTER = 2.0
+"""Light of a pair, relative to that of the brightest pair of a trial, beyond which the trial is said to have
+overlooked it. Half of it repeats trials that were good; with twice as much, one pair may have half of the light and
+of its error unnoticed."""
 HELPS = 0.1
 """Error of one of G groups, relative to 1/G of the error asked of the whole, below which cutting the group more
 finely does not help the whole. Half of it refines groups in vain."""
@@ -79,6 +83,9 @@ shadow rays."""
 WITHIN = 0.7
 """Largest estimate of error on the trial's pairs, relative to the error asked, that is accepted: other pairs may be
 worse. Half of it costs a cutting more."""
+RUNAWAY = 1 << 24
+"""Elements and shadow rays of one run from which on quadrature is given up: narrow lobes on both sides of an element
+take some 10¹⁰. Half of it gives up some scans of large pixels."""
 BETWEEN, TINY = 8, 1e-150
 """Cuttings considered between two that were tried (with half as many, the cheapest is met less exactly); and a number
 to divide by in place of zero."""
@@ -155,8 +162,9 @@ class Trial:
     seen: dict[tuple[int, int | None], list[Seen]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, gathering: Gathering, lit: Ints, request: Asked) -> Trial:
-        """A trial of pairs drawn from `lit` (n, 2) by a rough computation of their light.
+    def of(cls, gathering: Gathering, lit: Ints, request: Asked, bright: Bools | None = None) -> Trial:
+        """A trial of pairs drawn from `lit` (n, 2) by a rough computation of the light of some of them, among which
+        are those that `bright` (n,) marks, if any.
 
         Half of the draw is by the light of the whole, half by that of each object: a few pairs may have all the light
         of an object, and all its error.
@@ -164,25 +172,40 @@ class Trial:
         task, group = gathering.task, request.group(gathering.width < 1.0)
         groups = 1 + int(group.max())
         wanted = _trials(len(lit), groups * task.capture.time.bins)
-        candidates = lit[spread_evenly(len(lit), LOOKED_AT * wanted)]
+        bright = np.zeros(len(lit), np.bool_) if bright is None else bright
+        others = np.flatnonzero(~bright)
+        others = others[spread_evenly(len(others), LOOKED_AT * wanted)]
+        represents = np.ones(len(lit))
+        represents[others] = (len(lit) - bright.sum()) / max(len(others), 1)
+        looked_at = np.sort(np.concatenate([np.flatnonzero(bright), others]))
+        represents = represents[looked_at]
         rough = cls(
-            gathering, candidates, np.full(len(candidates), len(lit) / max(len(candidates), 1)), group,
-            np.ones(groups), gathering.levels(), Work(),
-        )  # fmt: skip
-        if len(candidates) <= wanted:
-            return rough
+            gathering, lit[looked_at], np.ones(len(looked_at)), group, np.ones(groups), gathering.levels(), Work()
+        )
+        if len(looked_at) <= wanted:
+            return replace(rough, weight=represents)
         light = rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0]).histogram
         if rough.gathering.lobed:
             # Coarse elements may miss lobes, and with them the pairs that have most of the light.
             light = light + rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0], matt=True).histogram
         squares, group_squares = (light.sum(axis=1) ** 2).sum(axis=1), (light**2).sum(axis=2)
         of_objects = group_squares[:, request.of_objects(groups)]
-        places, stands_for = by_light(np.sqrt(np.column_stack([squares, of_objects])), wanted)
+        norms = np.sqrt(np.column_stack([squares, of_objects]))
+        places, stands_for = by_light(represents[:, None] * norms, wanted)
+        weight = stands_for * represents[places]
         # The draw changes each group's norm by chance; `scale` takes that back.
-        of_all, of_drawn = group_squares.sum(axis=0), stands_for @ group_squares[places]
+        of_all, of_drawn = represents @ group_squares, weight @ group_squares[places]
         scale = np.sqrt(np.divide(of_all, of_drawn, where=of_drawn > 0, out=np.ones(groups)))
-        weight = stands_for * len(lit) / len(candidates)
-        return cls(gathering, candidates[places], weight, group, scale, rough.levels, rough.work)
+        return replace(rough, pairs=rough.pairs[places], weight=weight, scale=scale, seen={})
+
+    def overlooked(self, lit: Ints, norms: Floats) -> Bools:
+        """(n,) which of the pairs `lit` (n, 2) have more than `BRIGHTER` times as much light, of some row, as any
+        pair of the trial.
+
+        norms : (n, rows) L2 norm of the light of each pair in the whole and in each object.
+        """
+        tried = (lit[:, None] == self.pairs).all(axis=2).any(axis=1)
+        return np.asarray((norms > BRIGHTER * norms[tried].max(axis=0, initial=0.0)).any(axis=1))
 
     @property
     def by_rays(self) -> Bools:
@@ -209,7 +232,7 @@ class Trial:
             self.seen[quarterings] = list(self.gathering.seen(self.pairs, levels, edge_levels))
         draw = None if draw is None else draw[self.group]
         result = self.gathering.gathered(
-            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt
+            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt, RUNAWAY
         )
         cells, rays = (
             np.bincount(self.group, work, len(cutting)).astype(np.int64) for work in (result.cells, result.rays)
@@ -326,6 +349,40 @@ class _Runs:
         compared = np.minimum(np.arange(len(self.cells))[:, None], self.finest - 1)
         return np.asarray(grown[compared, np.arange(len(self.finest))] & late_enough)
 
+    def at(self, level: Ints, of_runs: Floats) -> Floats:
+        """(G,) values of each group in run `level` (G,), or in its finest, out of those of all runs (runs, G)."""
+        return np.asarray(of_runs[np.minimum(level, self.finest), np.arange(len(self.finest))])
+
+    def differences(self) -> Floats:
+        """(runs, G) L2 norm of each group's difference from the last run, and what the last one still lacks."""
+        difference = np.array([_norms(run - self.histograms[-1]) for run in self.histograms])
+        return np.asarray(difference + (REST - 1) * self.at(self.finest - 1, difference))
+
+    def group_errors(self) -> Floats:
+        """(runs, G) estimated L2 error of each group: its difference from the last run, and what that still lacks.
+
+        The error of N random rays falls at most as 1/N, and so as the error that each may make. Two runs that differ
+        by less may do so by chance, above all where one pair has most of the light.
+        """
+        errors = self.differences()
+        for n in range(2, len(errors)):
+            believed = self.trial.by_rays * self.cuttings[n] / self.cuttings[n - 1]
+            errors[n] = np.maximum(errors[n], np.where(n <= self.finest, believed * errors[n - 1], 0.0))
+        return errors
+
+    def whole_error(self, level: Ints, group_error: Floats) -> float:
+        """Estimated L2 error of the sum over groups, where each group is taken from run `level` (G,).
+
+        group_error : (runs, G) from `group_errors`.
+        """
+        last = self.histograms[-1].sum(axis=1)
+        chosen = sum(self.histograms[min(n, len(self.histograms) - 1)][:, k] for k, n in enumerate(level))
+        before = sum(self.histograms[n - 1][:, k] for k, n in enumerate(self.finest))
+        known = l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
+        # What groups' errors were raised by, since they had agreed by chance.
+        raised = self.at(level, group_error) ** 2 - self.at(level, self.differences()) ** 2
+        return math.sqrt(known**2 + float(np.maximum(raised, 0.0).sum()))
+
     def levels(self, meets: Bools, group_error: Floats, claimed: Bools, most: float) -> tuple[Ints, float]:
         """(G,) index of the coarsest run of each group that meets its limit, one more than the finest where none
         does; and the L2 error of the whole with these runs.
@@ -333,18 +390,18 @@ class _Runs:
         meets : (runs, G) whether a run meets the group's limit. group_error : (runs, G).
         most : L2 error that the whole may have; groups are taken from finer runs until it is met.
         """
-        every, groups, next_run = np.arange(len(claimed)), len(claimed), self.finest + ~self.settled
+        groups, next_run = len(claimed), self.finest + ~self.settled
         level = np.minimum(np.argmax(np.vstack([meets, np.ones(groups, np.bool_)]), axis=0), next_run)
         # The finest run of a group that was given up is too dear for all pairs, or nearly: the one before has to do.
         level = np.where(claimed & self.too_dear, self.finest - 1, level)
-        error = _whole_error(self.histograms, level, self.finest)
+        error = self.whole_error(level, group_error)
         while error > most:
             # The group with the largest error has the most to give.
-            reducible = np.where(level < next_run, group_error[np.minimum(level, self.finest), every], 0.0)
+            reducible = np.where(level < next_run, self.at(level, group_error), 0.0)
             if groups * reducible.max() <= HELPS * most:
                 break
             level[np.argmax(reducible)] += 1
-            error = _whole_error(self.histograms, level, self.finest)
+            error = self.whole_error(level, group_error)
         return level, error
 
 
@@ -377,7 +434,7 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
             return None
         claimed = objects & (group_norm > negligible * norm) & (trial.energy(light) >= request.faint)
         limit = np.where(claimed & ~runs.too_dear, request.part_target * group_norm, np.inf)
-        group_error, last = _group_errors(runs.histograms, finest), len(runs.histograms) > LEVELS
+        group_error, last = runs.group_errors(), len(runs.histograms) > LEVELS
         # The error of a group need not be known where the group is too faint to matter to anything asked.
         matters = (claimed & ~runs.too_dear) | (group_norm > request.target * norm)
         # While single elements may err by more than all the light of a faint object, two runs agree by chance. Few
@@ -541,28 +598,11 @@ def _cheapest(
     return cutting[which, every], error[which, every]
 
 
-def _group_errors(runs: list[Floats], finest: Ints) -> Floats:
-    """(runs, G) estimated L2 error of each group in each run (n, G, T): its difference from the last run, and what
-    the last one still lacks. `finest` (G,) is the index of a group's finest run."""
-    every = np.arange(len(finest))
-    last = runs[-1]
-    difference = np.array([_norms(run - last) for run in runs])
-    return np.asarray(difference + (REST - 1) * difference[finest - 1, every])
-
-
 def _converging(runs: list[Floats], finest: Ints) -> Bools:
     """(G,) whether the last difference between runs of each group is at most `FALLS` of the one before."""
     last = [np.linalg.norm(runs[n][:, k] - runs[n - 1][:, k]) for k, n in enumerate(finest)]
     before = [np.linalg.norm(runs[n - 1][:, k] - runs[max(n - 2, 0)][:, k]) for k, n in enumerate(finest)]
     return np.array(last) <= FALLS * np.array(before)
-
-
-def _whole_error(runs: list[Floats], level: Ints, finest: Ints) -> float:
-    """Estimated L2 error of the sum over groups, where each group is taken from run `level` (G,)."""
-    last = runs[-1].sum(axis=1)
-    chosen = sum(runs[min(n, len(runs) - 1)][:, k] for k, n in enumerate(level))
-    before = sum(runs[n - 1][:, k] for k, n in enumerate(finest))
-    return l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
 
 
 def _norm(histograms: Floats) -> float:

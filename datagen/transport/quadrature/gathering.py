@@ -30,10 +30,10 @@ LEVELS, SIZED, TINY = (2, 5), 64, 1e-4
 pixel inside an open ball agreed with each other on 3 % too little light); number of pixels whose size is measured
 for that (half as many may miss the largest pixel); and size, relative to the scene and to the narrowest lobe, up to
 which a pixel counts as a point and is not quartered (half of it quarters pixels in vain)."""
-RAY_FOOTPRINT = 0.35
-"""Largest footprint that is connected with the hit of a ray, relative to its distance from there and to the square
-root of the error asked of an object's light. With twice as much, a pixel on the facets of a ball around it was 2 %
-off."""
+RAY_FOOTPRINT = 0.4
+"""Largest footprint that one connection with the hit of a ray stands for, relative to its distance from there and to
+the square root of the error asked of an object's light. With twice as much, light of a large pixel beside a mesh
+arrives at times that are 9 % off."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
 """Times that pixels which see more than one surface may be quartered in the first trial, and most footprints of all
 such pixels together, which decides between them. Errors of one pixel's footprints average out over many pixels, so
@@ -116,7 +116,8 @@ class Tally(NamedTuple):
     number : (n,) number of each pair, which seeds its random points: a pair of a trial and the same pair of the whole
         scan have the same points.
     histogram, overflow : (rows, T) and (rows,) photons within the window and outside.
-    work : (K, 2) number of elements whose light was added, and of shadow rays.
+    work : (K, 2) number of elements whose light was added, or of rays of a lattice; and of shadow rays.
+    most_work : sum of `work` from which on nothing more is added.
     """
 
     row_of_pair: Ints
@@ -125,6 +126,11 @@ class Tally(NamedTuple):
     histogram: Floats
     overflow: Floats
     work: Ints
+    most_work: int
+
+
+class TooMuchWork(Exception):
+    """Light takes more elements and shadow rays than was allowed."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +141,7 @@ class Gathered:
     ----------
     histogram : (n, rows, T) photons per photon emitted.
     overflow : (n,) photons outside the window of time.
-    cells, rays : (K,) number of elements and of shadow rays of each part.
+    cells, rays : (K,) number of elements, or of rays of a lattice, and of shadow rays of each part.
     """
 
     histogram: Floats
@@ -221,7 +227,8 @@ class Gathering:
         return RAY_FOOTPRINT * math.sqrt(self.task.accuracy.each_part)
 
     def ray_levels(self) -> int:
-        """Times that pixels must be quartered so that they have footprints as small as `ray_footprint`."""
+        """Times that pixels must be quartered so that footprints as small as `ray_footprint` have quarters, of which
+        a random one brings the light."""
         meshes, even, patches = np.flatnonzero(self.by_rays), ~self.at_edge, self.task.patches
         if not (len(meshes) and even.any()) or self.as_points:
             return 0
@@ -229,7 +236,8 @@ class Gathering:
         near = np.linalg.norm(patches.center[even, None] - middle, axis=2) - radius
         # The pixel may lie within a mesh's bounding sphere: the distance is then negative, and all levels are wanted.
         wanted = (
-            2.0 * patches.radius[even] <= self.ray_footprint * near.min(axis=1) * 2.0 ** np.arange(LEVEL)[:, None]
+            2.0 * patches.radius[even]
+            <= 0.5 * self.ray_footprint * near.min(axis=1) * 2.0 ** np.arange(LEVEL)[:, None]
         )
         # In a confocal pixel shadow rays go to its quarters, for its middle sees whatever the laser point lights.
         return max(int((~wanted.all(axis=1)).sum()), int(self.task.capture.pairing == "confocal"))
@@ -282,7 +290,7 @@ class Gathering:
 
     def gathered(
         self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
-        matt: bool = False,
+        matt: bool = False, most_work: int = int(np.iinfo(np.int64).max),
     ) -> Gathered:  # fmt: skip
         """The light of pairs (n, 2) of laser point and pixel, by way of part k in row row_of_part[k].
 
@@ -290,6 +298,7 @@ class Gathering:
         error : (K,) L2 error that one element of each part may make, photons; infinite for parts to be left out.
         draw : (K,) index of the set of random points on each part; zeros if None.
         matt : whether every surface is taken as Lambertian with its albedo.
+        most_work : elements and shadow rays beyond which `TooMuchWork` is raised.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
         histogram = np.zeros((len(pairs) * rows, task.capture.time.bins))
@@ -309,12 +318,14 @@ class Gathering:
                 self.clock,
             )  # fmt: skip
             number = pairs[batch.which, 0] * len(self.at_edge) + pairs[batch.which, 1]
-            tally = Tally(batch.which, row_of_part * len(pairs), number, histogram, overflow, work)
+            tally = Tally(batch.which, row_of_part * len(pairs), number, histogram, overflow, work, most_work)
             gather(batch.pairs, scan, self.by_rays, tally, room)
             if self.by_rays.any():
                 gather_by_rays(
                     task.caster, task.scene.face_part, batch.pairs, scan, self.outlines, tally, self.ray_footprint
                 )
+            if work.sum() > most_work:
+                raise TooMuchWork
         # In `histogram` the pairs of one row follow each other.
         of_rows = histogram.reshape(rows, len(pairs), task.capture.time.bins)
         return Gathered(

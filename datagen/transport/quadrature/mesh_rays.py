@@ -56,9 +56,6 @@ their corners get rays that carry little."""
 GRAZING = 0.05
 """Least cosine that is assumed for the light that a ray carries. Half of it changes little, because it only sets how
 many rays are sent."""
-WITHIN = 0.25
-"""Distance of the laser point from the middle of a footprint, relative to the footprint's size, up to which the laser
-point counts as lying within it. Half of it leaves out laser points between the middle and a corner."""
 FEW_BINS = 1.0
 """Bins over which the light of a footprint arrives up to which only their mean and variance count. Half of it changes
 little; with twice as much, steps of the signal of a large pixel near a mesh are smeared."""
@@ -316,7 +313,7 @@ def _connect(  # type: ignore[no-untyped-def]
         while start + r >= fans.first[fan + 1]:
             fan += 1
         k, j, pair = fans.part[fan], start + r - fans.first[fan], fans.pair[fan]
-        tally.work[k, 1] += 1
+        tally.work[k, 0] += 1
         # Nothing was met, or another part, whose light comes by other rays or elements.
         if hits.face[r] < 0 or face_part[hits.face[r]] != k:
             continue
@@ -333,33 +330,30 @@ def _connect(  # type: ignore[no-untyped-def]
         area, size = solid_angle * reach * reach * length / (steep * count), reach / (length * math.sqrt(count))
         g, many = unit(back1), _points(patches, p, y, footprint_ratio, mix(word, np.uint64(2 + j)), chosen, waiting)
         for c in range(many):
-            q, stands_for = chosen[c, 0], chosen[c, 1]
-            k3 = patches.part[p, q]
-            z, n3 = corner(patches.position, p, q), corner(patches.normal, p, q)
-            seen = (z, n3, corner(patches.to_sensor, p, q), scan.kind[k3], scan.values[k3])
-            w, r1, r3 = weight(
-                y, n, scan.kind[k], scan.values[k], lit, seen, patches.footprint[p, q], clock.attenuation
+            # A random point of the footprint stands for its light, and its middle for the arrival time.
+            q, here = chosen[c, 0], finest_within(patches.quarters, chosen[c, 0], mix(word, np.uint64(2 + j)))
+            k3, stands_for = patches.part[p, here], chosen[c, 1] * patches.fraction[q] / patches.fraction[here]
+            z, n3 = corner(patches.position, p, here), corner(patches.normal, p, here)
+            seen = (z, n3, corner(patches.to_sensor, p, here), scan.kind[k3], scan.values[k3])
+            w, r1, _ = weight(
+                y, n, scan.kind[k], scan.values[k], lit, seen, patches.footprint[p, here], clock.attenuation
             )  # fmt: skip
             if not w > 0.0:
                 continue
-            back3 = subtract(y, z)
+            back3 = subtract(y, corner(patches.position, p, q))
+            r3 = math.sqrt(dot(back3, back3))
             # The gradient of the path at y, and by it how far paths differ along the two sides of the cell.
             h = (g[0] + back3[0] / r3, g[1] + back3[1] / r3, g[2] + back3[2] / r3)
             # A cell on a surface seen edge-on would reach far beyond the mesh.
             one = min(abs(size * (dot(h, along) + dot(h, d) * dot(n, along) / steep)), reach)
             other = min(abs(size * (dot(h, across) + dot(h, d) * dot(n, across) / steep)), reach)
-            u, v = path_changes(back3, seen[2], clock.device, patches.across, p, q)
+            u, v = path_changes(back3, corner(patches.to_sensor, p, q), clock.device, patches.across, p, q)
             device = lasers.leg[i] + patches.leg[p, q] if clock.device else 0.0
-            connections.photons[m] = w * area * lasers.power[i] * patches.weight[p, q] * stands_for
+            connections.photons[m] = w * area * lasers.power[i] * patches.weight[p, here] * stands_for
             connections.arrival[m] = (r1 + r3 + device) * clock.per_metre - clock.start
             connections.variance[m] = (one * one + other * other) / 12 * clock.per_metre * clock.per_metre
             connections.across[m, 0], connections.across[m, 1] = u * clock.per_metre, v * clock.per_metre
             connections.part[m], connections.into[m] = k, tally.row_of_pair[pair] + tally.row_of_part[k]
-            # The laser point sees whatever it lights, but other points of a footprint around it may not: a random one
-            # of these stands for all.
-            if distance(x, z) <= WITHIN * patches.size[p, q]:
-                here = finest_within(patches.quarters, q, mix(word, np.uint64(2 + j)))
-                z, n3 = corner(patches.position, p, here), corner(patches.normal, p, here)
             connections.needs_ray[m] = scan.cutting.rays_on_last_leg and distance(x, z) > scan.occluders.flat
             for a in range(3):
                 connections.start[m, a], connections.end[m, a] = y[a] + offset * n[a], z[a] + offset * n3[a]
@@ -406,7 +400,6 @@ def _add_light(connections, count, tally):  # type: ignore[no-untyped-def]
     for m in range(count):
         tally.work[connections.part[m], 1] += connections.needs_ray[m]
         if connections.photons[m] > 0.0:
-            tally.work[connections.part[m], 0] += 1
             t, into, photons = connections.arrival[m], connections.into[m], connections.photons[m]
             u, v, variance = connections.across[m, 0], connections.across[m, 1], connections.variance[m]
             if abs(u) + abs(v) <= FEW_BINS:

@@ -190,7 +190,7 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
     pairs : (n, 2) laser point and row of footprints of each. scan, tally : `Scan` and `Tally`.
     by_rays : (K,) parts whose light comes by rays. room : `Room`.
     """
-    lasers, patches, strongest = scan.lasers, scan.patches, 0.0
+    lasers, patches, strongest, left = scan.lasers, scan.patches, 0.0, tally.most_work
     for k in range(len(scan.cutting.peak)):
         strongest = max(strongest, scan.cutting.peak[k])
     for pair in range(len(pairs)):
@@ -205,12 +205,17 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
         two_legs = scan.cutting.rays_on_last_leg and apart
         for k in range(len(scan.tree.roots)):
             if scan.cutting.error[k] < np.inf and not by_rays[k]:
-                _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room)
+                left -= _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room)
+        if left < 0:
+            # The rest would be in vain: `Gathering.gathered` gives up.
+            return
 
 
 @compiled(_nrt=False, no_cpython_wrapper=True)
-def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # type: ignore[no-untyped-def]
-    """Add the light of part k to the histogram of one pair; p : its row of footprints.
+def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):  # type: ignore[no-untyped-def]
+    """Number of elements and shadow rays that it took to add the light of part k to the histogram of one pair.
+
+    p : the pair's row of footprints. left : number from which on nothing more is added.
 
     The possible occluders of an element are among those of the box or element that contains it. So each entry of the
     stack has lists of them, which `candidates` bounds: first … middle − 1 on the leg to the laser point, middle …
@@ -225,7 +230,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
     most, cells, rays, alight = np.inf, 0, 0, np.int64(0)
     cell[0, 16], cell[0, 17] = 1.0, UNFOUND
     top = push(tag, 0, BOX, root, 0, (LISTED, to_z, free if two_legs else to_z))
-    while top > 0 or alight > 0:
+    while (top > 0 or alight > 0) and cells + rays <= left:
         if top == 0:
             # Clear elements are worked off together, so they wait until nothing else is left.
             alight, more, beyond, top = spread_clear(room, alight, scan, lit, p, allowed, tally.histogram, into, free)
@@ -305,6 +310,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, scan, tally, room):  # ty
             tally.overflow[into] += _spread(scan, view, element, bend, cell, top, tally.histogram, into)
     tally.work[k, 0] += cells
     tally.work[k, 1] += rays
+    return cells + rays
 
 
 @compiled()

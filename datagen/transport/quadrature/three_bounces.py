@@ -20,10 +20,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.records.arrays import Floats
-from datagen.transport.error_control.refinement import Asked, Trial, choose, quarter
-from datagen.transport.quadrature.gathering import Gathering
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.error_control.refinement import Asked, Choice, Quartering, Trial, choose, quarter
+from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of
+
+MOST_TRIALS = 3
+"""Most trials of a scan: each knows the pairs that the one before overlooked. With half as many, the second trial's
+own oversights stay."""
 
 
 @dataclass(frozen=True)
@@ -57,22 +61,52 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     task = gathering.task
     pairs = pairs_of(task.capture)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
-    lit = pairs[task.points.part[pairs[:, 0]] >= 0]
-    trial = Trial.of(gathering, lit, asked)
+    lit = task.points.part[pairs[:, 0]] >= 0
+    bright = np.zeros(lit.sum(), np.bool_)
+    for _ in range(MOST_TRIALS):
+        trial = Trial.of(gathering, pairs[lit], asked, bright)
+        try:
+            tried = _tried(trial, asked, len(pairs))
+        except TooMuchWork:
+            return None
+        if tried is None:
+            return None
+        trial, choice, quartering = tried
+        primary = _of_all_pairs(trial, choice, quartering, pairs)
+        claimed = [k for k, g in enumerate(trial.group) if task.tally_rows.parts and choice.claimed[g]]
+        light = np.stack([np.sum(primary.rows, axis=0), *(primary.rows[k] for k in claimed)], axis=-1)
+        norms = np.linalg.norm(light.reshape(len(pairs), -1, 1 + len(claimed))[lit], axis=1)
+        # A pair that has most of the light, and that the trial did not know, may have most of the error.
+        overlooked = trial.overlooked(pairs[lit], norms)
+        if not overlooked.any():
+            break
+        bright |= overlooked
+    return primary
+
+
+def _tried(trial: Trial, asked: Asked, pairs: int) -> tuple[Trial, Choice, Quartering] | None:
+    """The cutting and the quartering that meet the errors asked, with the trial that they are known from; None if
+    none does. pairs : number of all pairs."""
     while True:
         choice = choose(trial, asked)
-        quartering = None if choice is None else quarter(trial, choice, asked, len(pairs))
+        quartering = None if choice is None else quarter(trial, choice, asked, pairs)
         if choice is None or quartering is None:
             return None
         if quartering.levels <= trial.levels or quartering.change <= asked.target * choice.norm:
-            break
+            return trial, choice, quartering
         # Smaller footprints see light that those of the trial missed (a narrow lobe passes between their points): how
         # finely its elements have to be cut is not known yet.
         trial = replace(trial, levels=quartering.levels, seen={})
+
+
+def _of_all_pairs(trial: Trial, choice: Choice, quartering: Quartering, pairs: Ints) -> Primary:
+    """The primary of all pairs (n, 2), and the errors that the trial found."""
+    gathering, task = trial.gathering, trial.gathering.task
     # Errors of the trial's pairs are known for the cutting that was tried: only if others are left, a cheaper cutting
     # in between is worth its uncertainty.
-    cutting = choice.tried_cutting if len(trial.pairs) == len(lit) else choice.cutting
-    parts = len(asked.objects)
+    all_tried = len(trial.pairs) == (task.points.part[pairs[:, 0]] >= 0).sum()
+    cutting = choice.tried_cutting if all_tried else choice.cutting
+    parts = len(trial.group)
     rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
     levels = max(quartering.levels, gathering.ray_levels())
     seen = gathering.seen(pairs, levels, quartering.edge_levels)
