@@ -54,6 +54,9 @@ NEAREST = 2 / 9
 """Least squared distance between a cluster and another element, relative to the square of the cluster's size `LONG`:
 four times the variance of the cluster's points, which is `LONG`²/18. With half of it, clusters that touch an element
 give it too much light."""
+FLAT = 1e-9
+"""Height of a triangle above the plane of another, relative to the larger one's size, that is taken for rounding.
+Half of it changes nothing: positions are rounded to 1e-16 m."""
 TOO_NEAR = 8 / 9
 """The same ratio, below which the light between a cluster and another element is claimed as unknown: a ball on a
 floor lost a quarter of its light, and all refinement levels agreed on that. With half of it, only a fifth of that
@@ -259,6 +262,21 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
 
 
 @compiled()
+def _below(elements, k, others, m):  # type: ignore[no-untyped-def]
+    """Whether no vertex of triangle k is above the plane of triangle m; false if one of them is a cluster.
+
+    `_facing` knows the heights by their variance, and takes a triangle that touches the plane from below to reach
+    above it: faces of a convex body that share an edge would light each other.
+    """
+    if elements.known[k, CLUSTERED] > 0.0 or others.known[m, CLUSTERED] > 0.0:
+        return False
+    n, y, highest = get(others.known, m, NORMAL), get(others.corner, m, 0), -np.inf
+    for vertex in range(3):
+        highest = max(highest, dot(subtract(get(elements.corner, k, 3 * vertex), y), n))
+    return highest <= FLAT * max(elements.known[k, LONG], others.known[m, LONG])
+
+
+@compiled()
 def _error(one, i, two, j, most, sharpest, r, variance, share, haze):  # type: ignore[no-untyped-def]
     """Estimated L2 error of a pair of elements, in the units of `most`.
 
@@ -348,7 +366,9 @@ def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  #
                         ones.known, one, twos.known, two, (a, b), optics
                     )
                     # Elements that face away from each other exchange no light.
-                    if not most > 0.0:
+                    if not most > 0.0 or (
+                        share < 1.0 and (_below(ones, one, twos, two) or _below(twos, two, ones, one))
+                    ):
                         continue
                     left = transmittance(rules.attenuation, path)
                     energy, most, variance = energy * left, most * left, variance * per_square
