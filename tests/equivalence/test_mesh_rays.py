@@ -122,25 +122,6 @@ def test_a_laser_point_inside_of_a_mesh_lights_all_of_it() -> None:
     assert abs(found.parts["ball"].sum() - truths.mean()) < SIGMAS * known + 0.01 * truths.mean()
 
 
-def test_the_error_falls_faster_than_that_of_samples() -> None:
-    """Sixteen times the rays leave less than a fifth of the error, where samples would leave a quarter."""
-    room, capture = scene(Lambertian(0.7)), scan("confocal", 0.002)
-    task = prepared(room, capture, Accuracy(target=0.02, max_bounces=3), 0, split_parts=True)
-    gathering, pairs = Gathering.of(task), pairs_of(capture)
-    parts = len(room.part_names)
-    assert gathering.by_rays.tolist() == [False, False, True, True]
-
-    def light(error: float, draw: int) -> Floats:
-        errors = np.where(gathering.by_rays, error, np.inf)
-        seen = gathering.seen(pairs, gathering.levels())
-        return gathering.gathered(pairs, seen, errors, np.arange(parts), np.full(parts, draw)).histogram[:, 2:]
-
-    coarse = light(1e300, 0).max() / 30
-    truth = np.mean([light(coarse / 4096, draw) for draw in range(2, 6)], axis=0)
-    errors = [np.mean([np.square(light(e, d) - truth).sum() for d in range(4)]) ** 0.5 for e in (coarse, coarse / 16)]
-    assert errors[1] < errors[0] / 5
-
-
 def test_where_no_rays_are_sent_elements_find_the_same() -> None:
     """A lobe narrower than the lattice resolves is left to elements; a lobe just wide enough for rays gives the same
     light."""
