@@ -62,8 +62,11 @@ def test_every_brdf(material: str, shape: str, capture: str) -> None:
     hold(scene_of(material, shape), CAPTURES[capture](), max_bounces=4)
 
 
-@pytest.mark.parametrize("origin", ["wall", "source"])
-@pytest.mark.parametrize("laser", [(0.9, 0.4, 0.0), (0.0, 0.2, 1.2)], ids=["on the floor", "in the pixel"])
+@pytest.mark.parametrize(
+    ("laser", "origin"),
+    [((0.9, 0.4, 0.0), "wall"), ((0.0, 0.2, 1.2), "source")],
+    ids=["on the floor", "in the pixel"],
+)
 def test_in_fog_with_the_direct_return_and_five_bounces(laser: tuple[float, float, float], origin: str) -> None:
     """Away from corners, whose short paths the definition's uniform vertices hardly ever meet."""
     scene = replace(furnished_box(0.8), attenuation_per_m=0.3)

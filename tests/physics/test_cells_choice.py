@@ -63,8 +63,8 @@ def light_at_few_points() -> Case:
 
 def ball_half_hidden() -> Case:
     """Of 5 120 triangles, which clusters stand for: they agree with themselves however wrong they are."""
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.3).apply_translation((1.5, 0.0, 1.2))
-    plate = rectangle((0.8, 0.3, 1.2), (0, 0.2, 0), (0, 0, 0.2))
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.3).apply_translation((1.7, -0.7, 0.8))
+    plate = rectangle((0.9, -0.2, 1.4), (0, 0.15, 0), (0, 0, 0.15))
     return wall_and(ball=ball, plate=plate), confocal(few_low_points()[::20])
 
 

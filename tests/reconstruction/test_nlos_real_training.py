@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import trimesh
-
-import datagen as dg
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "nlos_real_training.py"
@@ -145,27 +142,6 @@ def test_the_best_share_is_where_all_scans_together_overlap_most() -> None:
     share = made["best_share"](brightness, truth)
     assert 0.5 < share <= 0.7 and made["overlap_at"](share, brightness, truth) == 1
     assert made["overlap_at"](0.5, brightness, truth) < 0.8
-
-
-def test_retroreflected_light_falls_as_the_square_of_the_distance_where_the_spot_holds_the_lobe() -> None:
-    """A diffuse plate's falls as almost the fourth power (it is 20 cm wide, and not a point)."""
-    wall = dg.Part("relay_wall", trimesh.creation.box(bounds=[(-0.05, -1, -1), (0, 1, 1)]), dg.Lambertian(0.9),
-                   role="relay_wall")  # fmt: skip
-    place, half = (1.5, 2.5, 0), 0.01
-    spot = half * np.array([[[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]])
-    sensor, time = dg.Sensor(place, spot), dg.TimeAxis(256, 32e-12, 0.0, "wall")
-    capture = dg.Capture(dg.Laser(place, [(0, 0, 0)]), sensor, time, pairing="confocal")
-    power = {}
-    for material in (dg.Retroreflector(0.8), dg.Lambertian(0.8)):
-        light = []
-        for depth in (0.4, 0.65):
-            plate = trimesh.creation.box(bounds=[(depth, -0.1, -0.1), (depth + 0.002, 0.1, 0.1)])
-            scene = dg.Scene.from_parts([wall, dg.Part("plate", plate, material)])
-            accuracy = dg.Accuracy(lookins=1 << 15, fov_samples=16, replicates=8)
-            light.append(dg.simulate(scene, capture, accuracy, seed=0).total.sum())
-        power[type(material)] = np.log(light[0] / light[1]) / np.log(0.65 / 0.4)
-    assert power[dg.Retroreflector] == pytest.approx(2.0, abs=0.2)
-    assert power[dg.Lambertian] == pytest.approx(3.8, abs=0.1)
 
 
 def test_without_the_scans_the_script_says_so(

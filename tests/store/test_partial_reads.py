@@ -18,7 +18,7 @@ from torch.utils.data import DataLoader
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError, InputError
-from datagen.store import DatasetReader, read_manifest, reader, schema
+from datagen.store import DatasetReader, read_manifest, schema
 from datagen.store.reader import Part
 
 FIELDS = ("histogram", "transient", "transient_stderr", "laser_points", "sensor_pixels", "depth")
@@ -110,15 +110,6 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
                 assert item[name].shape == value.shape == data.shape(name), (name, crop)
                 assert np.array_equal(item[name].numpy(), value), (name, crop)
         assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
-
-
-def test_a_table_of_blocks_is_not_believed(tmp_path: Path) -> None:
-    from numcodecs import Blosc
-
-    frame = bytes(Blosc("zstd", 5, Blosc.BITSHUFFLE, blocksize=16384).encode(np.zeros(2**16, "u2")))
-    for broken in (frame[:16] + b"\xff" * 4 + frame[20:], frame[:16] + b"\xff\xff\xff\x7f" + frame[20:], frame[:20]):
-        with pytest.raises(ValueError, match="blocks"):
-            reader._some_blocks(broken, 0, 1)
 
 
 def test_redrawn_noise_is_that_of_the_whole_cut(tmp_path: Path) -> None:
