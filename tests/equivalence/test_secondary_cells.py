@@ -178,7 +178,7 @@ def test_what_touches_is_claimed_as_far_as_it_is_not_known() -> None:
     """A ball of 5120 triangles, far from the wall, is a few clusters. The light that it gives to a floor on which it
     stands is claimed as unknown however many levels agree; high above the floor it is not."""
     floor = trimesh.Trimesh([(0, -1.5, 0), (2.5, -1.5, 0), (2.5, 1.5, 0), (0, 1.5, 0)], [(0, 1, 2), (0, 2, 3)])
-    pixel = square_pixels(SPOTS[:1] + [0, 0.2, -0.1], 5e-4)
+    pixel = square_pixels(SPOTS[:1] + np.array([0, 0.2, -0.1]), 5e-4)
     one = Capture(Laser(DEVICE, SPOTS[2:]), Sensor(DEVICE, pixel), TIME)
     for height, low, high in ((0.13, 0.1, 0.3), (1.5, 0.0, 0.06)):
         ball = Part("ball", ball_at((2.0, 0.9, height), 0.13), Lambertian(0.8))
