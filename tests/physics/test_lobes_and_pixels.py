@@ -30,8 +30,8 @@ def truth_of(foreign: ForeignScene, what: str, samples: int = SAMPLES) -> Floats
     ("scene", "part"), [(6, "object 0"), (19, "object 0"), pytest.param(17, "object 2", marks=pytest.mark.nightly)]
 )
 def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> None:
-    """A ball of facets with mirror lobes of 1 degree, a glossy box, of which all footprints of a pixel together once erred
-    by 2^levels, and a box with a retroreflecting lobe of 11 degrees."""
+    """A ball of facets with mirror lobes of 1 degree, a glossy box, of which all footprints of a pixel together once
+    erred by 2^levels, and a box with a retroreflecting lobe of 11 degrees."""
     foreign = foreign_scene(scene)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
     assert off(lights(run)[part], truth_of(foreign, part, 4 * SAMPLES)) < max(2.0 * run.part_errors[part], 0.03)

@@ -124,26 +124,6 @@ def test_a_network_learns_silhouette_and_depth() -> None:
     assert made["overlap"](mask, masks[0]) > 0.6 and abs(np.median(depth[mask]) - depths[0].max()) < 0.02
 
 
-def test_missed_is_one_less_the_dice_coefficient_of_sure_silhouettes() -> None:
-    truth = torch.zeros(2, 32, 32)
-    truth[:, 8:16, 8:16] = 1
-    found = torch.full_like(truth, -50.0)
-    found[0, 8:16, 8:16], found[1, 8:16, 12:20] = 50, 50
-    # The second silhouette shares half of its points with the truth.
-    assert float(made["missed"](found, truth)) == pytest.approx((0 + 0.5) / 2, abs=0.01)
-
-
-def test_the_best_share_is_where_all_scans_together_overlap_most() -> None:
-    truth = np.zeros((2, 32, 32), bool)
-    truth[:, 8:16, 8:16] = True
-    brightness = np.full(truth.shape, 0.1)
-    # Beside the first object something stands half as bright, which is not to be seen.
-    brightness[0, :8], brightness[0][truth[0]], brightness[1][truth[1]] = 0.5, 1.0, 0.7
-    share = made["best_share"](brightness, truth)
-    assert 0.5 < share <= 0.7 and made["overlap_at"](share, brightness, truth) == 1
-    assert made["overlap_at"](0.5, brightness, truth) < 0.8
-
-
 def test_without_the_scans_the_script_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
