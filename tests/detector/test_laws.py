@@ -21,7 +21,6 @@ from datagen.records import TimeAxis
 TIME = TimeAxis(200, 0.5e-9)
 PERIOD = 100e-9
 EXPOSURE = Exposure(repetition_rate_hz=1 / PERIOD, cycles=20_000, photons_per_pulse=1.0)
-EDGES = np.linspace(0, PERIOD, 201)
 
 
 def signal(flux: float) -> np.ndarray:
