@@ -11,7 +11,7 @@ import pytest
 from rooms import furnished_box, square_pixels
 
 from datagen.config import EffectsConfig
-from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects
+from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects, trial
 from datagen.effects.scene_figures import is_lambertian, lambertian_of
 from datagen.records import (
     GGX,
@@ -144,6 +144,24 @@ def test_trial_runs_are_made_only_for_what_they_can_decide() -> None:
     assert "trial" not in {decision.kind for decision in decided.decisions}
     for effect in ("occlusion", "brdf", "extended_surfaces"):
         assert decided[effect].simulated and decided[effect].kind == "always" and decided[effect].reason
+
+
+@pytest.mark.parametrize("how", ["confocal", pytest.param("exhaustive", marks=pytest.mark.nightly), "flood"])
+def test_both_runs_of_a_trial_are_independent(how: str) -> None:
+    """They may be made by one call. Over 100 seeds the noise of one must not show in the other: Σ cov(a, b) over all
+    channels and bins is 0 to within 4 standard errors, where Σ var(a) is many times as much."""
+    few = Accuracy(lookins=1024, fov_samples=1, max_bounces=4)
+    looked = capture("confocal" if how == "confocal" else "exhaustive")
+    looked = replace(looked, illumination="flood") if how == "flood" else looked
+    room = furnished_box(0.7)
+    runs = [trial.run_trial(room, looked, few, seed) for seed in range(100)]
+    total = np.array([sum(run.components.values()) for run in runs])
+    assert total.shape == (100, 2, 16 if how == "exhaustive" else 4, AXIS.bins)
+    noise = (total - total.mean(axis=0)) / np.sqrt(1 - 1 / len(runs))
+    shared = (noise[:, 0] * noise[:, 1]).sum(axis=(1, 2))
+    error = shared.std() / np.sqrt(len(shared))
+    assert abs(shared.mean()) < 4 * error
+    assert (noise[:, 0] ** 2).sum(axis=(1, 2)).mean() > 20 * error
 
 
 MATERIALS: list[Material] = [
