@@ -68,7 +68,7 @@ tests: setup
 # numba does not see that a kernel in another file has changed: its caches go, and are made again when needed.
 .PHONY: fresh
 fresh:
-	find datagen scene_library \( -name '*.nbi' -o -name '*.nbc' \) -delete
+	find datagen scene_library tests \( -name '*.nbi' -o -name '*.nbc' \) -delete
 
 format: setup
 	$(BIN)/ruff check --fix .

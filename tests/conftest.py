@@ -25,7 +25,8 @@ def _drop_stale_kernels() -> None:
     file did: caches older than any source are deleted before a kernel is called. `make fresh` deletes all of them."""
     packages = [ROOT / "datagen", ROOT / "scene_library"]
     newest = max(path.stat().st_mtime for package in packages for path in package.rglob("*.py"))
-    for cache in (path for package in packages for path in package.rglob("*.nb[ic]")):
+    # Kernels of tests call those of the package.
+    for cache in (path for package in (*packages, ROOT / "tests") for path in package.rglob("*.nb[ic]")):
         # Another test process may be quicker.
         with suppress(OSError):
             if cache.stat().st_mtime < newest:

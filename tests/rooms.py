@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from datagen import capture_for, generate_scene, load_config
 from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
@@ -73,10 +70,3 @@ def one_point_capture(
         Sensor(device, square_pixels([fov_center], half_side_m)),
         time or bins_of_path(200, 0.1, 0.0),
     )
-
-
-def demonstration_room() -> tuple[Scene, Capture]:
-    """The paper's room and capture, `configs/demonstration_room.yaml`."""
-    config = load_config(Path(__file__).parents[1] / "configs" / "demonstration_room.yaml")
-    scene = generate_scene(config.scene, config.seed, 0)
-    return scene, capture_for(config, scene)

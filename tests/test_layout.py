@@ -7,8 +7,6 @@ import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
 TOP = {
     "__init__", "__main__", "_version", "cli", "exit_status", "pipeline", "seeding", "units", "errors", "compiled",
@@ -72,21 +70,3 @@ def test_imports_run_downward_and_never_in_a_circle() -> None:
 
 def test_the_top_holds_the_chain_and_nothing_else() -> None:
     assert {path.stem for path in (ROOT / "datagen").glob("*.py")} <= TOP
-
-
-@pytest.mark.parametrize(
-    ("sources", "fault"),
-    [
-        ({"datagen.low.a": "import datagen.high", "datagen.high": ""}, "datagen.low.a imports datagen.high"),
-        ({"datagen.left": "from datagen.right import x", "datagen.right": ""}, "datagen.left imports datagen.right"),
-        ({"datagen.low": "def f():\n    from datagen import high", "datagen.high": ""}, "low imports datagen.high"),
-        ({"datagen.low": "if TYPE_CHECKING:\n    import datagen.high.x", "datagen.high": ""}, "datagen.high.x"),
-        ({"datagen.high.a": "import datagen.high.b", "datagen.high.b": "import datagen.high.a"}, "a circle"),
-        ({"datagen.high": "from datagen import simulate"}, "datagen.high imports datagen"),
-        ({"datagen.high": "from . import low"}, "datagen.high imports relative"),
-        ({"datagen.new": "import datagen.low", "datagen.low": ""}, "datagen.new imports datagen.low"),
-    ],
-)
-def test_what_breaks_the_rule_is_found(sources: dict[str, str], fault: str) -> None:
-    found = faults(sources, [["high"], ["left", "right"], ["low"]])
-    assert len(found) == 1 and fault in found[0]

@@ -28,6 +28,11 @@ DETECTORS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def few_objects(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exposure, "OBJECTS", 6)
+
+
 def significances(config: dg.DatasetConfig, scenes: int) -> np.ndarray:
     """Significances of all objects of the first scenes, each under its own detector."""
     found = []
@@ -46,7 +51,7 @@ def with_cycles(config: dg.DatasetConfig, cycles: float) -> dg.DatasetConfig:
 
 @pytest.mark.parametrize(
     ("kind", "evidence", "quantile"),
-    [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2), ("dead time", 3, 0.2)],
+    [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2)],
 )
 def test_the_exposure_is_the_least_that_gives_the_evidence(
     kind: str, evidence: float, quantile: float, monkeypatch: pytest.MonkeyPatch
@@ -64,18 +69,14 @@ def test_the_exposure_is_the_least_that_gives_the_evidence(
     assert np.mean(significances(with_cycles(found, round(cycles / 1.1)), 6) < evidence) > quantile
 
 
-def test_the_exposure_is_the_same_for_any_number_of_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposure, "OBJECTS", 6)
+def test_the_exposure_is_the_same_for_any_number_of_scenes() -> None:
     request = {"exposure_for": {"evidence": 5}}
     cycles = {dg.with_exposure_found(measurement(request, scenes=n)).detector.cycles for n in (4, 4, 100)}
     assert len(cycles) == 1
 
 
-def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(tmp_path: Path) -> None:
     """The same request resumes the build; another request is refused."""
-    monkeypatch.setattr(exposure, "OBJECTS", 6)
     config = measurement({"exposure_for": {"evidence": 5}})
     dg.build(config.with_scenes(2), tmp_path / "a", progress=False)
     stored = read_manifest(tmp_path / "a").parsed_config()
@@ -90,8 +91,7 @@ def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(
         dg.build(measurement({"cycles": 77}), tmp_path / "a", progress=False)
 
 
-def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposure, "OBJECTS", 6)
+def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path) -> None:
     config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
     dg.build(config, tmp_path / "a", progress=False)
     data = dg.TransientDataset(tmp_path / "a", ("histogram",))
@@ -99,8 +99,7 @@ def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path, monkeypatch:
         assert (stored["histogram"] == made["histogram"]).all()
 
 
-def test_the_contact_sheet_finds_the_exposure_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exposure, "OBJECTS", 6)
+def test_the_contact_sheet_finds_the_exposure_first() -> None:
     config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
     ((found, _),) = first_scenes([config], 1)
     assert np.array_equal(dg.scene_for(found, 0).vertices, dg.scene_for(dg.with_exposure_found(config), 0).vertices)
@@ -129,9 +128,8 @@ FOR = r"^detector\.exposure_for = \{evidence: .*"
     ],
 )
 def test_requests_that_cannot_be_met_are_refused_in_a_line(
-    detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str, monkeypatch: pytest.MonkeyPatch
+    detector: dict[str, Any], contents: list[dict[str, Any]] | None, words: str
 ) -> None:
-    monkeypatch.setattr(exposure, "OBJECTS", 6)
     with pytest.raises(dg.InputError, match=words) as refusal:
         dg.with_exposure_found(measurement(detector, contents))
     assert "\n" not in str(refusal.value)

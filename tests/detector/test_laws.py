@@ -16,13 +16,11 @@ from datagen.detector import (
     detect,
     expected_histogram,
 )
-from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.records import TimeAxis
 
 TIME = TimeAxis(200, 0.5e-9)
 PERIOD = 100e-9
 EXPOSURE = Exposure(repetition_rate_hz=1 / PERIOD, cycles=20_000, photons_per_pulse=1.0)
-EDGES = np.linspace(0, PERIOD, 201)
 
 
 def signal(flux: float) -> np.ndarray:
@@ -53,30 +51,6 @@ def test_constant_rate_has_the_fano_factor_of_renewal_theory(dead_time):
     accept(float(2 * norm.sf(abs(z))), f"Fano {fano:.4f} against {law:.4f}")
 
 
-@pytest.mark.parametrize("laps", [1, 2, 7])
-@pytest.mark.parametrize("flux", [0.01, 1.0, 300.0])
-def test_dead_time_of_whole_periods_leaves_the_shape(laps, flux):
-    lam = signal(flux)
-    mean = equilibrium(lam, EDGES, TIME.width_s, laps * PERIOD).mean
-    np.testing.assert_allclose(mean, lam / (1 + laps * flux), rtol=1e-9)
-
-
-@pytest.mark.parametrize("flux", [0.01, 1.0, 20.0])
-@pytest.mark.parametrize("rest", [0.3e-9, 41.3e-9, 99.9e-9])
-def test_reduction_lemma_against_a_long_simulation(flux, rest):
-    """τ = m T_r + τ′ only rescales; the long way is a synchronous detector whose cycle is many periods."""
-    lam, laps, follow = signal(flux), 2, 140
-    short = equilibrium(lam, EDGES, TIME.width_s, rest).mean
-    long = equilibrium(lam, EDGES, TIME.width_s, laps * PERIOD + rest).mean
-    np.testing.assert_allclose(long, short / (1 + laps * short.sum()), rtol=1e-9)
-    if flux > 1:
-        return  # detections stay in step for longer than can be followed
-    edges = np.append(0.0, np.concatenate([EDGES[1:] + k * PERIOD for k in range(follow)]))
-    followed = synchronous_mean(np.tile(lam, follow), edges, TIME.width_s, laps * PERIOD + rest)
-    np.testing.assert_allclose(followed.reshape(follow, -1)[-40:].mean(0), long, rtol=2e-2)
-    np.testing.assert_allclose(followed.reshape(follow, -1)[-60:].sum() / 60, long.sum(), rtol=3e-3)
-
-
 def coates_correction(counts: np.ndarray, cycles: int) -> np.ndarray:
     """Flux per cycle and bin from counts with one detection a cycle: −log(1 − n_i / (N − Σ_{k<i} n_k)), exact on the
     mean and the maximum-likelihood estimate on counts (P. B. Coates, J. Phys. E 1, 878, 1968)."""
@@ -91,18 +65,6 @@ def test_coates_inverts_the_expected_histogram(flux):
     # Beyond 20 events into the cycle nothing is left to invert: e^-20 of the cycles against 1 is rounding.
     reached = np.cumsum(lam) < 12
     np.testing.assert_allclose(coates_correction(mean, EXPOSURE.cycles)[reached], lam[reached], rtol=1e-9)
-
-
-def test_coates_on_counts_is_unbiased_where_counting_is_not():
-    lam, cycles = signal(2.0), 10**9
-    spad = Spad(pde=1.0, dead_time_s=1e-6, mode="synchronous")
-    exposure = Exposure(repetition_rate_hz=1 / PERIOD, cycles=cycles, photons_per_pulse=1.0)
-    counts = detect(lam, TIME, spad, exposure, seed=3)
-    corrected = coates_correction(counts, cycles)
-    left = cycles - np.cumsum(counts) + counts
-    z = (corrected - lam) * np.sqrt(left / lam)
-    accept(float(chi2(200).sf(np.sum(z**2))), "Coates on counts")
-    assert (counts[100] / cycles) / lam[100] < 0.6
 
 
 @pytest.mark.parametrize("probability", [0.01, 0.2])

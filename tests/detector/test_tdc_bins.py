@@ -112,7 +112,7 @@ def test_expected_is_the_mean_of_detect(name: str) -> None:
     lam, spad = lit(0.8), unequal(SPADS[name])
     exposure = replace(EXPOSURE, cycles=2000)
     mean = expected_histogram(lam, TIME, spad, exposure)
-    counts = np.concatenate([detect(lam, TIME, spad, exposure, seed=s, tolerance=0.0) for s in range(400)])
+    counts = np.concatenate([detect(lam, TIME, spad, exposure, seed=s, tolerance=0.0) for s in range(250)])
     for pixel in range(2):
         # Neighbours are added up so that bins have the counts that the test's normal law needs.
         tens = counts[:, pixel].reshape(len(counts), BINS // 3, 3).sum(axis=2)

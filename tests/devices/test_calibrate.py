@@ -43,8 +43,8 @@ def test_saturation_is_that_of_the_detector() -> None:
 
 @pytest.fixture(scope="module")
 def sweep() -> Frames:
-    """60 frames of the catalogue's TMF8820 before a plane of albedo 0.8, with counting noise."""
-    device, distances = dg.device("tmf8820"), np.linspace(0.15, 0.4, 60)
+    """24 frames of the catalogue's TMF8820 before a plane of albedo 0.8, with counting noise."""
+    device, distances = dg.device("tmf8820"), np.linspace(0.15, 0.4, 24)
     rng, histograms = np.random.default_rng(4), []
     for metres in distances:
         plane = trimesh.creation.box((0.02, 9, 9), trimesh.transformations.translation_matrix((metres + 0.01, 0, 0)))
@@ -80,7 +80,7 @@ def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
     for frames, named in (
         (replace(sweep, distances_m=None), "no distances"),
         (replace(sweep, histograms=sweep.histograms[:, :4]), "4 zones"),
-        (replace(sweep, distances_m=np.full(60, 0.01)), "at least 8"),
+        (replace(sweep, distances_m=np.full(24, 0.01)), "at least 8"),
     ):
         with pytest.raises(InputError, match=named):
             calibrate(frames, device)

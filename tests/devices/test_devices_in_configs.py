@@ -287,7 +287,9 @@ def test_configurations_without_a_device_are_stored_as_before(name: str, fingerp
     assert {stored[name].dims[-1] for name in ("histogram", "transient") if name in stored} == {"bin"}
 
 
-@pytest.mark.parametrize("name", device_names())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.nightly if k % 4 else ()) for k, n in enumerate(device_names())]
+)
 def test_every_device_builds_a_scene_of_the_ready_configuration(name: str) -> None:
     values = yaml.safe_load((CONFIGS / "any_device.yaml").read_text())
     values["capture"]["device"] = name

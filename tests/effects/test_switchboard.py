@@ -210,9 +210,3 @@ def test_extreme_scenes_keep_the_promise() -> None:
     least = run_case(nearly_nothing_skipped(lookins=1024))
     assert least.broken(0.01) == []
     assert "off" not in least.states.values()
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("index", range(100))
-def test_very_many_random_scenes_keep_the_promise(index: int) -> None:
-    assert run_case(random_case(index, seed=78, lookins=2048)).broken(0.01) == []

@@ -12,7 +12,7 @@ from rooms import furnished_box, square_pixels
 
 from datagen.config import EffectsConfig
 from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects, trial
-from datagen.effects.scene_figures import is_lambertian, lambertian_of, mean_albedo
+from datagen.effects.scene_figures import is_lambertian, lambertian_of
 from datagen.records import (
     GGX,
     Accuracy,
@@ -29,7 +29,7 @@ from datagen.records import (
     TimeAxis,
 )
 from datagen.transport import simulate
-from datagen.transport.brdf import MaterialTable, albedo, evaluate
+from datagen.transport.brdf import MaterialTable, evaluate
 
 DEVICE = (1.5, 0.1, 1.3)
 SPOTS = [(0, y, z) for y in (-0.8, 0.8) for z in (0.8, 1.6)]
@@ -146,7 +146,7 @@ def test_trial_runs_are_made_only_for_what_they_can_decide() -> None:
         assert decided[effect].simulated and decided[effect].kind == "always" and decided[effect].reason
 
 
-@pytest.mark.parametrize("how", ["confocal", "exhaustive", "flood"])
+@pytest.mark.parametrize("how", ["confocal", pytest.param("exhaustive", marks=pytest.mark.nightly), "flood"])
 def test_both_runs_of_a_trial_are_independent(how: str) -> None:
     """They may be made by one call. Over 100 seeds the noise of one must not show in the other: Σ cov(a, b) over all
     channels and bins is 0 to within 4 standard errors, where Σ var(a) is many times as much."""
@@ -168,15 +168,6 @@ MATERIALS: list[Material] = [
     Lambertian(0.6), Phong(0.6, 5.0, 0.001), Phong(0.6, 30.0, 0.7), SinLobe(0.6), OrenNayar(0.6, 0.35), GGX(0.6, 0.4),
     Retroreflector(0.6),
 ]  # fmt: skip
-
-
-@pytest.mark.parametrize("exponent", [0.3, 1.0, 5.0, 40.0, 2000.0])
-def test_mean_albedo_of_a_lobe_in_closed_form(exponent: float) -> None:
-    """Against quadrature of the directional albedo, which is itself one by quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(32)
-    cosine = (nodes + 1) / 2
-    material = Phong(0.6, exponent, 0.7)
-    assert mean_albedo(material) == pytest.approx(np.sum(weights * cosine * albedo(material, cosine)), rel=1e-6)
 
 
 @pytest.mark.parametrize("material", MATERIALS, ids=repr)

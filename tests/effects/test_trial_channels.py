@@ -13,7 +13,7 @@ from datagen.config import load_config
 from datagen.design.light import transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.effects import EffectDecisions, decide_transport_effects
-from datagen.effects.trial import LASERS, PIXELS, Trial, trial_channels
+from datagen.effects.trial import LASERS, PIXELS, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
 from datagen.transport.fields_of_view import PixelCones
@@ -102,8 +102,10 @@ def test_zone_sensor_has_its_first_return_in_every_scene() -> None:
         assert decided["direct_return"].simulated
 
 
-@pytest.mark.parametrize("scan", [(16, 16), (8, 8), (12, 20), (32, 32), (1, 64), (64, 1), (1, 1), (5, 7)])
-@pytest.mark.parametrize("view", [(8, 8), (16, 16), (1, 1), (4, 4), (1, 32), (9, 5)])
+@pytest.mark.parametrize(
+    ("scan", "view"),
+    [((16, 16), (8, 8)), ((32, 32), (1, 1)), ((1, 64), (1, 32)), ((5, 7), (9, 5)), ((1, 1), (16, 16))],
+)
 def test_trial_channels_reach_everywhere(scan: tuple[int, int], view: tuple[int, int]) -> None:
     """No laser point and no pixel is farther from a chosen one than about twice the best possible distance, and some
     of the chosen pixels contain chosen laser points."""
@@ -125,36 +127,6 @@ def test_trial_channels_reach_everywhere(scan: tuple[int, int], view: tuple[int,
     assert holding[seen].sum() >= min(PIXELS // 2, holding.sum())
     if scan == (16, 16):
         assert len({int(k) % 16 for k in lit}) > 8
-
-
-def test_trial_channels_leave_out_laser_points_that_are_not_there() -> None:
-    scene = furnished_box(0.5)
-    wall = Scene.from_parts([Part("relay_wall", _plate(0.5), Lambertian(0.8))])
-    capture = exhaustive(grid(16, 16), zones(4, 4))
-    for given, least in ((scene, LASERS), (wall, LASERS)):
-        points = LaserPoints.of(Raycaster(given), given, capture.laser)
-        lit, _ = trial_channels(capture, points, LASERS, PIXELS)
-        assert len(lit) == least and (points.part[lit] >= 0).all()
-    away = Scene.from_parts([Part("relay_wall", _plate(0.5, x=9.0), Lambertian(0.8))])
-    lit, _ = trial_channels(capture, LaserPoints.of(Raycaster(away), away, capture.laser), LASERS, PIXELS)
-    assert len(lit) == LASERS
-
-
-def _plate(half_m: float, x: float = 0.0) -> trimesh.Trimesh:
-    return rectangle((x, 0, 1.25), (0, half_m, 0), (0, 0, half_m))
-
-
-def test_a_component_without_a_path_may_still_have_three_of_all_paths() -> None:
-    nothing = np.zeros((2, 4, 16))
-    bright = nothing.copy()
-    bright[:, :, 3:9] = 1.0
-    assert Trial({"primary": bright, "secondary": nothing}).share("secondary") == pytest.approx(3 / 48)
-    assert Trial({"primary": bright, "secondary": nothing}, pixels=4).share("secondary") == pytest.approx(12 / 48)
-    assert Trial({"primary": bright}).share("secondary") == 0.0
-    assert Trial({"primary": nothing, "secondary": nothing}).share("secondary") is None
-    once = nothing.copy()
-    once[0, 1, 2] = 1.0
-    assert Trial({"primary": once, "secondary": nothing}).share("secondary") is None
 
 
 def beside_a_wall(capture_of: str) -> tuple[Scene, Capture]:

@@ -230,13 +230,13 @@ ONCE_WRONG = [
 
 
 def spread_share() -> list[tuple[str, str, str, str]]:
-    """A case of each material with two of the four ways: every family of BRDFs meets all ways, and every way all
-    shapes and scans."""
+    """A case of each material with one of the four ways, or two: every family of three BRDFs meets all ways, and
+    every way all shapes and scans."""
     materials, shapes, captures, ways = list(MATERIALS), list(SHAPES), list(CAPTURES), list(WAYS)
     return [
-        (material, shapes[(k % 3 + k // 3) % 6], captures[(k + k // 4) % 4], way)
+        (material, shapes[(k % 3 + k // 3) % 6], captures[(k // 3) % 4], way)
         for k, material in enumerate(materials)
-        for way in (ways[::2] if k % 2 else ways[1::2])
+        for way in (ways[:1], ways[1:3], ways[3:])[k % 3]
     ]
 
 

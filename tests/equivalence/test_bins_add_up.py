@@ -10,10 +10,6 @@ from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
 
 from datagen import Accuracy, Capture, Laser, Sensor, TimeAxis, simulate
 from datagen.paper.as_printed import AsPrinted, simulate_as_printed
-from datagen.transport.error_control.refinement import COARSE
-from datagen.transport.factorised.secondary import secondary_transient
-from datagen.transport.quadrature.gathering import Gathering
-from datagen.transport.simulate import prepared
 
 FACTOR = 4
 SCENE = furnished_box()
@@ -48,21 +44,6 @@ def test_walks_add_up_exactly(origin: str) -> None:
     assert wide.overflow.all()
 
 
-def test_cells_add_up_exactly() -> None:
-    """The primary by quadrature, with a cutting that does not depend on the width of bins."""
-    found = []
-    for n in (1, FACTOR):
-        task = prepared(SCENE, scan(axis(40 * n, 0.2 / n)), Accuracy(max_bounces=3), 0, split_parts=False)
-        gathering, parts = Gathering.of(task), len(SCENE.materials)
-        pairs = np.array([(0, 0), (1, 1)])
-        found.append(gathering.gathered(pairs, gathering.seen(pairs, 1), np.full(parts, COARSE), np.arange(parts)))
-    wide, narrow = found
-    assert (wide.cells == narrow.cells).all() and wide.histogram.any() and wide.overflow.any()
-    scale = wide.histogram.max()
-    np.testing.assert_allclose(added_up(narrow.histogram), wide.histogram, rtol=1e-9, atol=1e-12 * scale)
-    np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-9)
-
-
 def test_a_target_adds_up_to_within_itself() -> None:
     """The width of bins decides how finely surfaces are cut, so two runs differ, each within its target of the same
     truth."""
@@ -92,10 +73,8 @@ def test_the_factorised_secondary_adds_up() -> None:
     """
     accuracy = Accuracy(512, 16, 4, 2, observed=64)
     wide, narrow = (
-        secondary_transient(
-            prepared(SCENE, one_point_capture(time=axis(40 * n, 0.2 / n)), accuracy, 3, split_parts=False), 64
-        ).rows[0]
+        simulate(SCENE, one_point_capture(time=axis(40 * n, 0.2 / n)), accuracy, seed=3).components["secondary"]
         for n in (1, FACTOR)
-    )  # fmt: skip
+    )
     error = np.linalg.norm(added_up(narrow) - wide) / np.linalg.norm(wide)
     assert error < 0.01

@@ -56,14 +56,18 @@ def hold(scene: Scene, capture: Capture, **asked: object) -> None:
     ("material", "shape", "capture"),
     [("lambertian 0.6", "box", "confocal"), ("oren-nayar 1.2", "ball", "exhaustive"), ("phong 10", "plate", "array"),
      ("ggx 0.6", "open_mesh", "flood"), ("retroreflector 0.4", "touching", "exhaustive"),
-     ("sin lobe xyz", "ball", "confocal"), ("phong 60", "box", "array"), ("ggx 1", "plate", "exhaustive")],
+     ("sin lobe xyz", "ball", "confocal"), pytest.param("phong 60", "box", "array", marks=pytest.mark.nightly),
+     pytest.param("ggx 1", "plate", "exhaustive", marks=pytest.mark.nightly)],
 )  # fmt: skip
 def test_every_brdf(material: str, shape: str, capture: str) -> None:
     hold(scene_of(material, shape), CAPTURES[capture](), max_bounces=4)
 
 
-@pytest.mark.parametrize("origin", ["wall", "source"])
-@pytest.mark.parametrize("laser", [(0.9, 0.4, 0.0), (0.0, 0.2, 1.2)], ids=["on the floor", "in the pixel"])
+@pytest.mark.parametrize(
+    ("laser", "origin"),
+    [((0.9, 0.4, 0.0), "wall"), ((0.0, 0.2, 1.2), "source")],
+    ids=["on the floor", "in the pixel"],
+)
 def test_in_fog_with_the_direct_return_and_five_bounces(laser: tuple[float, float, float], origin: str) -> None:
     """Away from corners, whose short paths the definition's uniform vertices hardly ever meet."""
     scene = replace(furnished_box(0.8), attenuation_per_m=0.3)
@@ -75,7 +79,7 @@ def test_without_asking_what_stands_before_the_pixel() -> None:
     hold(furnished_box(), one_point_capture(time=bins_of_path(96, 0.25, 0.0)), occlusion=False)
 
 
-@pytest.mark.parametrize("draw", [None, sample_paths])
+@pytest.mark.parametrize("draw", [pytest.param(None, marks=pytest.mark.nightly), sample_paths])
 def test_all_orders_in_a_white_room(draw: Callable[..., object] | None) -> None:
     """Orders of three and more, from runs of unlimited bounces, bring at least the light of runs up to six
     bounces."""

@@ -76,7 +76,7 @@ def refusal(call: Any, *arguments: Any) -> InputError | None:
     return None
 
 
-@fuzzed(300, 3000, mutated())
+@fuzzed(150, 3000, mutated())
 def test_mistakes_are_told_in_one_line(values: dict[str, Any]) -> None:
     refusal(config_from_mapping, values, "config.yaml")
 

@@ -11,16 +11,13 @@ import numpy as np
 import pytest
 import trimesh
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
-from sphere_chords import BINS, QUAD, SPOT, WIDTH_M, stored, unit_ball
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import Accuracy, Capture, Lambertian, Part, Scene, simulate
 from datagen.bench.other_renderers import grid_points, point_capture
 from datagen.bench.peer_cases import path_axis
 from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.errors import InputWarning
 from datagen.records import Transient
-from datagen.transport.fields_of_view import PixelCones
-from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 FINE = Accuracy(target=0.01, part_target=0.01)
 
@@ -55,15 +52,6 @@ def looking_at(y: float, half_side_m: float = 0.05) -> Capture:
     return one_point_capture((0, -0.3, 0.1), (0, y, 0.03), half_side_m, time, (0.4, 0.1, 0.9))
 
 
-def test_triangles_that_lie_on_each_other_count_once() -> None:
-    box = crate()
-    twice = trimesh.Trimesh(box.vertices, np.concatenate([box.faces, box.faces[:7, ::-1]]), process=False)
-    finer = Accuracy(target=0.005, part_target=0.005)
-    once, doubled = (cells(wall_and_box(mesh), looking_at(0.2), finer) for mesh in (box, twice))
-    assert np.linalg.norm(doubled.total - once.total) < 0.01 * np.linalg.norm(once.total)
-    assert everything(doubled) == pytest.approx(everything(once), rel=2e-3)
-
-
 def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     """A black poster, exactly in the plane of the box that it hangs on, acts as a hole in half of the box's face."""
     poster = Part("poster", rectangle((0.95, 0, -0.125), (0, 0.25, 0), (0, 0, 0.125)), Lambertian(0.0))
@@ -73,20 +61,6 @@ def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     whole, seen, expected = (everything(cells(scene, looking_at(0.2))) for scene in (bare, covered, hole))
     assert seen == pytest.approx(expected, abs=0.01 * whole)
     assert 0.1 * whole < seen < 0.8 * whole
-
-
-@pytest.mark.parametrize("reach", [0.2, 0.6])
-def test_a_pixel_that_reaches_over_the_edge_of_the_wall_keeps_its_light(reach: float) -> None:
-    """The part of the pixel that lies on the wall, taken as a pixel of its own, sees the same light within both
-    errors asked."""
-    half, own = 0.2, looking_at(0.0)
-    over = cells(wall_and_box(crate()), looking_at(1 - 2 * half * reach + half, half))
-    corners = np.array(
-        [[0, 1 - 2 * half * reach, -0.17], [0, 1, -0.17], [0, 1, 0.23], [0, 1 - 2 * half * reach, 0.23]]
-    )
-    inside = cells(wall_and_box(crate()), replace(own, sensor=replace(own.sensor, pixels=corners[None])))
-    assert everything(over) > 0
-    assert off_by(over, inside) < 0.015
 
 
 def test_arrival_times_of_a_large_pixel_are_spread() -> None:
@@ -132,27 +106,6 @@ def cells_of(found: Transient) -> float:
     return found.spend.lookins["primary"]
 
 
-@pytest.mark.parametrize("origin", ["wall", "source"])
-def test_a_small_patch_amplitude_and_arrival(origin: str) -> None:
-    """A small patch brings L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
-    side, h = 1e-3, 5e-4
-    x2 = np.array([1.2, 0.5, -0.3])
-    x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
-    scene = wall_and_box(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2)))
-    time = bins_of_path(400, 0.01, 0.0 if origin == "wall" else 4.0, origin)
-    found = cells(scene, one_point_capture(x1, x3, h, time, device))
-    r12, r23, r3s = (np.linalg.norm(d) for d in (x2 - x1, x3 - x2, device - x3))
-    patch = 0.8 / np.pi * (1.2 / r12) ** 2 / r12**2 * side**2
-    omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
-    expected = patch * 0.6 / np.pi * (1.2 / r23) ** 2 / r23**2 * 0.8 / np.pi * np.pi * 0.02**2 * omega
-    assert found.total.sum() == pytest.approx(expected, rel=1e-5)
-    path = r12 + r23 + (r3s + np.linalg.norm(device - x1) if origin == "source" else 0.0)
-    assert (found.total[0, 0] * found.time.centers_s).sum() / found.total.sum() == pytest.approx(
-        path / C, abs=5e-3 / C
-    )
-    assert np.count_nonzero(found.total) <= 2
-
-
 def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
     """In a room without occluders the error is inversely proportional to the number of elements, down to 10⁻⁴."""
     room, capture = empty_room(), one_point_capture(half_side_m=1e-4, time=bins_of_path(120, 0.1, 0.0))
@@ -163,31 +116,6 @@ def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
     assert slope < -0.9, (errors, counts)
     assert errors[-1] < 1.2e-3
     assert truth.met_target and cells_of(truth) < 1e6
-
-
-@pytest.mark.nightly
-def test_the_inside_of_a_sphere() -> None:
-    """The energy is L = ρ³/π · A Ω / (4π r²), and arrival times are distributed as two chords that meet in a uniform
-    point."""
-    scene = Scene.from_parts([Part("sphere", unit_ball(5), Lambertian(0.8), "structure")])
-    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(BINS, WIDTH_M, 0.0))
-    found = cells(scene, capture, Accuracy(target=0.02))
-    whole = 0.8**3 / np.pi / (4 * np.pi) * np.pi * 0.02**2 * PixelCones.of(capture.sensor).solid_angle[0]
-    assert everything(found) == pytest.approx(whole, rel=5e-3)
-    share, _ = stored().of(3)
-    assert np.abs(found.total[0, 0] - whole * share).sum() < 0.03 * whole
-
-
-def test_swapping_laser_point_and_pixel_changes_nothing() -> None:
-    """Reciprocity, apart from the device legs and the pixel's solid angle; the pixel is so small that both are
-    points."""
-    a, b, device, h = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9]), np.array([1.5, 0.1, 1.3]), 1e-3
-    there, back = (
-        cells(furnished_box(), one_point_capture(p, q, h, device=device)).total
-        * np.linalg.norm(device - q) ** 3 for p, q in ((a, b), (b, a))
-    )  # fmt: skip
-    assert np.linalg.norm(there - back) < 0.02 * np.linalg.norm(there)
-    assert there.sum() == pytest.approx(back.sum(), rel=3e-3)
 
 
 def test_light_is_linear_in_the_albedo() -> None:
@@ -229,7 +157,7 @@ def test_finer_triangles_and_another_order_are_the_same_surface() -> None:
     np.testing.assert_allclose(again.total, plain.total, rtol=1e-9, atol=1e-12 * plain.total.max())
 
 
-@pytest.mark.parametrize("gap", [5e-4, 1e-6])
+@pytest.mark.parametrize("gap", [pytest.param(5e-4, marks=pytest.mark.nightly), 1e-6])
 def test_a_laser_point_in_a_corner_needs_no_more_than_ten_times_the_cells(gap: float) -> None:
     asked = Accuracy(target=0.02)
     in_a_corner = (0, -1.5 + gap, gap)
@@ -241,9 +169,7 @@ def test_a_laser_point_in_a_corner_needs_no_more_than_ten_times_the_cells(gap: f
     assert everything(found) == pytest.approx(everything(beside), rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("attenuation_per_m", "bounces"), [(0.5, 3), (2.0, 3), (10.0, 3), (50.0, 3), (0.5, 4), (2.0, 4)]
-)
+@pytest.mark.parametrize(("attenuation_per_m", "bounces"), [(50.0, 3), (2.0, 4)])
 def test_fog_needs_no_more_cells_than_clear_air(attenuation_per_m: float, bounces: int) -> None:
     """Elements are cut for the light that arrives through the fog. When they were cut for that in clear air, an
     attenuation of 2 m⁻¹ took 10 times as many as needed, and 50 m⁻¹ never ended."""
@@ -256,23 +182,6 @@ def test_fog_needs_no_more_cells_than_clear_air(attenuation_per_m: float, bounce
     assert np.linalg.norm(found.total - true.total) <= 0.05 * np.linalg.norm(true.total)
     spent, usual = found.spend, cells(clear, capture, accuracy).spend
     assert spent is not None and usual is not None and spent.cost < 1.5 * usual.cost
-
-
-def test_one_bin_and_a_hundred_thousand() -> None:
-    """Narrow bins add up to wide ones, and all light is in a bin or in the overflow."""
-
-    def seen(bins: int, width_m: float, start_m: float, accuracy: Accuracy = FINE) -> Transient:
-        time = bins_of_path(bins, width_m, start_m)
-        return cells(furnished_box(), one_point_capture(half_side_m=0.02, time=time), accuracy)
-
-    plain, late = seen(200, 0.1, 0.0), seen(20, 0.1, 4.0)
-    for bins, width_m in ((1, 20.0), (100_000, 3e-4)):
-        found = seen(bins, width_m, 0.0, Accuracy(target=0.02))
-        assert everything(found) == pytest.approx(everything(plain), rel=0.02)
-        assert found.overflow.sum() == 0
-    # The two time axes lead to two cuttings, each with an error of 2 %.
-    assert everything(late) == pytest.approx(everything(plain), rel=0.01)
-    assert np.linalg.norm(late.total - plain.total[..., 40:60]) < 0.015 * np.linalg.norm(plain.total[..., 40:60])
 
 
 def test_light_outside_the_window_is_not_cut_for_what_little_is_inside() -> None:
@@ -288,9 +197,8 @@ def test_light_outside_the_window_is_not_cut_for_what_little_is_inside() -> None
     assert everything(found) == pytest.approx(everything(plain), rel=0.05)
 
 
-@pytest.mark.parametrize("start_m", [8.98, 9.11])
-def test_a_window_that_only_coarse_cells_reach_into_is_empty(start_m: float) -> None:
-    capture = one_point_capture(half_side_m=0.02, time=bins_of_path(1, 0.01, start_m))
+def test_a_window_that_only_coarse_cells_reach_into_is_empty() -> None:
+    capture = one_point_capture(half_side_m=0.02, time=bins_of_path(1, 0.01, 9.11))
     with pytest.warns(InputWarning, match="all light arrives outside"):
         found = simulate(furnished_box(), capture, Accuracy(target=0.05), 0)
     assert not found.total.any() and found.overflow.sum() > 0

@@ -1,5 +1,4 @@
-"""The primary against three truths: a small patch (closed form), a rectangle (numerical integral), the inside of a
-sphere."""
+"""The primary against three truths: a small patch (closed form), a rectangle, and one behind a screen (integrals)."""
 
 from __future__ import annotations
 
@@ -68,3 +67,38 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     if accuracy is BY_ELEMENTS:
         assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
+
+
+@pytest.mark.parametrize("accuracy", [Accuracy(1 << 17, 1, 3, 8), BY_ELEMENTS], ids=["paths", "elements"])
+def test_an_occluder_casts_an_exact_shadow(accuracy: Accuracy) -> None:
+    """A screen halfway hides part of a plate from the laser point and part from the field of view: compared with a
+    brute-force integral."""
+    wall = rectangle((0, 0, 0), (0, 3, 0), (0, 0, 3))
+    plate = rectangle((2, 0, 0), (0, 0.5, 0), (0, 0, 0.5))
+    screen = rectangle((1, 0.1, 0.0), (0, 0.2, 0), (0, 0, 0.35))
+    scene = Scene.from_parts(
+        [
+            Part("wall", wall, Lambertian(0.9), "relay_wall"),
+            Part("plate", plate, Lambertian(0.7)),
+            Part("screen", screen, Lambertian(0.0)),
+        ]
+    )
+    x1, x3, device, h = np.array([0, -0.6, 0.1]), np.array([0, 0.7, -0.1]), np.array([0.6, -1.5, 0]), 1e-4
+    capture = Capture(Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(1, 20, 0))
+    result = simulate(scene, capture, accuracy, seed=3)
+
+    n = 2000
+    knots = ((np.arange(n) + 0.5) / n * 2 - 1) * 0.5
+    y, z = (k.ravel() for k in np.meshgrid(knots, knots))
+    x2 = np.stack([np.full_like(y, 2.0), y, z], axis=1)
+
+    def clear(p: np.ndarray) -> np.ndarray:
+        crossing = p + (x2 - p) * 0.5
+        return ~((np.abs(crossing[:, 1] - 0.1) < 0.2) & (np.abs(crossing[:, 2]) < 0.35))
+
+    r1, r3 = np.linalg.norm(x2 - x1, axis=1), np.linalg.norm(x2 - x3, axis=1)
+    kernel = (2 / r1) ** 2 / r1**2 * (2 / r3) ** 2 / r3**2 * clear(x1) * clear(x3) / n**2
+    omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - x3) ** 3
+    truth = 0.9 * 0.7 * 0.9 / np.pi**3 * kernel.sum() * APERTURE_M2 * omega
+    assert 0.3 < (clear(x1) & clear(x3)).mean() < 0.9
+    assert result.total.sum() + result.overflow.sum() == pytest.approx(truth, rel=2e-3)

@@ -11,9 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import trimesh
-
-import datagen as dg
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "nlos_real_training.py"
@@ -125,47 +122,6 @@ def test_a_network_learns_silhouette_and_depth() -> None:
     assert score > 0.7 and off < 0.01
     mask, depth = made["said"](network, volumes[0])
     assert made["overlap"](mask, masks[0]) > 0.6 and abs(np.median(depth[mask]) - depths[0].max()) < 0.02
-
-
-def test_missed_is_one_less_the_dice_coefficient_of_sure_silhouettes() -> None:
-    truth = torch.zeros(2, 32, 32)
-    truth[:, 8:16, 8:16] = 1
-    found = torch.full_like(truth, -50.0)
-    found[0, 8:16, 8:16], found[1, 8:16, 12:20] = 50, 50
-    # The second silhouette shares half of its points with the truth.
-    assert float(made["missed"](found, truth)) == pytest.approx((0 + 0.5) / 2, abs=0.01)
-
-
-def test_the_best_share_is_where_all_scans_together_overlap_most() -> None:
-    truth = np.zeros((2, 32, 32), bool)
-    truth[:, 8:16, 8:16] = True
-    brightness = np.full(truth.shape, 0.1)
-    # Beside the first object something stands half as bright, which is not to be seen.
-    brightness[0, :8], brightness[0][truth[0]], brightness[1][truth[1]] = 0.5, 1.0, 0.7
-    share = made["best_share"](brightness, truth)
-    assert 0.5 < share <= 0.7 and made["overlap_at"](share, brightness, truth) == 1
-    assert made["overlap_at"](0.5, brightness, truth) < 0.8
-
-
-def test_retroreflected_light_falls_as_the_square_of_the_distance_where_the_spot_holds_the_lobe() -> None:
-    """A diffuse plate's falls as almost the fourth power (it is 20 cm wide, and not a point)."""
-    wall = dg.Part("relay_wall", trimesh.creation.box(bounds=[(-0.05, -1, -1), (0, 1, 1)]), dg.Lambertian(0.9),
-                   role="relay_wall")  # fmt: skip
-    place, half = (1.5, 2.5, 0), 0.01
-    spot = half * np.array([[[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]])
-    sensor, time = dg.Sensor(place, spot), dg.TimeAxis(256, 32e-12, 0.0, "wall")
-    capture = dg.Capture(dg.Laser(place, [(0, 0, 0)]), sensor, time, pairing="confocal")
-    power = {}
-    for material in (dg.Retroreflector(0.8), dg.Lambertian(0.8)):
-        light = []
-        for depth in (0.4, 0.65):
-            plate = trimesh.creation.box(bounds=[(depth, -0.1, -0.1), (depth + 0.002, 0.1, 0.1)])
-            scene = dg.Scene.from_parts([wall, dg.Part("plate", plate, material)])
-            accuracy = dg.Accuracy(lookins=1 << 15, fov_samples=16, replicates=8)
-            light.append(dg.simulate(scene, capture, accuracy, seed=0).total.sum())
-        power[type(material)] = np.log(light[0] / light[1]) / np.log(0.65 / 0.4)
-    assert power[dg.Retroreflector] == pytest.approx(2.0, abs=0.2)
-    assert power[dg.Lambertian] == pytest.approx(3.8, abs=0.1)
 
 
 def test_without_the_scans_the_script_says_so(

@@ -74,11 +74,11 @@ def test_its_noise_can_be_drawn_anew(version: int) -> None:
     counts = sum(sums(version)["histogram"])
     data = dg.TransientDataset(EARLIER[version], fields=("histogram",), redraw_noise=True)
     totals = []
-    for epoch in range(20):
+    for epoch in range(5):
         data.set_epoch(epoch)
         totals.append(sum(float(item["histogram"].sum()) for item in data.__getitems__(range(3))))
-    # Five standard errors of the mean of 20 draws.
-    assert abs(np.mean(totals) - counts) < 5 * np.sqrt(counts * (1 + 1 / 20))
+    # Five standard errors of the mean of 5 draws.
+    assert abs(np.mean(totals) - counts) < 5 * np.sqrt(counts * (1 + 1 / 5))
     assert np.ptp(totals) > 0
 
 

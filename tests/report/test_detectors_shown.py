@@ -24,9 +24,11 @@ DETECTORS: dict[str, dict[str, Any]] = {
 }
 """Name → section `detector`; those after lab_si have no exact mean."""
 EXACT = ("ideal", "lab_si")
+SAME = ("ingaas", "consumer_dtof")
+"""What is drawn of them is drawn of `si_array`, too."""
 
 
-@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.nightly if n in SAME else ()) for n in DETECTORS])
 def test_the_caption_claims_what_holds(name: str, tmp_path: Path) -> None:
     """The page of counts is drawn, and its caption says what kind of mean that is."""
     bright = {"photons_per_pulse": 3e8, "cycles": 20_000, "repetition_rate_mhz": 5}

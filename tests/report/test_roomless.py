@@ -91,12 +91,6 @@ def test_scenes_made_in_python(given: Path, tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_noise_of_scenes_made_in_python_is_drawn_anew(given: Path) -> None:
-    data = dg.TransientDataset(given, "histogram", redraw_noise=True)
-    first, second = data[1]["histogram"], data[1]["histogram"]
-    assert (first != second).any() and first.sum() > 0
-
-
 @pytest.mark.usefixtures("without_ticks")
 @pytest.mark.parametrize("kind", ["grid", "lists", "one", "single", "dark"])
 def test_imported_captures(kind: str, tmp_path: Path) -> None:

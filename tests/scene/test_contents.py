@@ -18,8 +18,8 @@ from datagen.errors import InputError
 from datagen.scene import check_scene_config, generate_scene
 from scene_library.objects import CLASSES, GROUPS, build
 from scene_library.plates import union_plate
-from scene_library.polygons import contains, rotation, triangulate
-from scene_library.solids import Solid, rectangle, regular_polygon
+from scene_library.polygons import contains, rotation
+from scene_library.solids import Solid, regular_polygon
 
 
 def contents(*items: dict[str, Any], base: Path | str = ".", **scene: Any) -> SceneConfig:
@@ -82,7 +82,7 @@ class Corners(np.random.Generator):
 @pytest.mark.parametrize("name", CLASSES)
 def test_every_class_holds_at_the_corners_of_its_proportions(name: str) -> None:
     """Regression: a tall pot under a low plant left no height for leaves, once in two hundred plants."""
-    for seed in range(6 if name.startswith(("letter", "digit")) else 24):
+    for seed in range(2 if name.startswith(("letter", "digit")) else 24):
         volume_of_closed(build(name, Corners(seed)))
 
 
@@ -107,25 +107,6 @@ def test_union_has_the_area_of_the_union() -> None:
         hits = crossing_counts(corners, start, start + np.array([0.0, 2.0, 0.0]))
         np.testing.assert_array_equal(hits, np.where(inside, 2, 0))
         np.testing.assert_allclose(plate.volume / 0.1, 4 * inside.mean(), atol=5 * 4 * 0.5 / np.sqrt(400))
-
-
-def test_holes_stay_open() -> None:
-    ring = union_plate([rectangle(1.0, 1.0), rectangle(0.5, 0.5)[::-1]], 0.1)
-    np.testing.assert_allclose(trimesh.Trimesh(*ring, process=False).volume, 0.075)
-
-
-def test_triangulation_covers_the_polygon() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(50):
-        n = int(rng.integers(4, 14))
-        angle = np.sort(rng.uniform(0, 2 * np.pi, n))
-        if np.diff(np.append(angle, angle[0] + 2 * np.pi)).max() > 3:
-            continue
-        polygon = np.stack([np.cos(angle), np.sin(angle)], 1) * rng.uniform(0.3, 1.0, (n, 1))
-        triangles = polygon[triangulate(polygon)]
-        points = rng.uniform(-1, 1, (300, 2))
-        covered = np.sum([contains(t, points) for t in triangles], axis=0)
-        np.testing.assert_array_equal(covered, contains(polygon, points).astype(int))
 
 
 def test_objects_without_a_name_have_that_of_their_class() -> None:

@@ -92,14 +92,6 @@ def test_every_declared_parameter_of_every_layout(scenes: int) -> None:
     assert departures(p_values) == []
 
 
-def test_departures_are_noticed_and_nothing_else() -> None:
-    rng = np.random.default_rng(0)
-    p_values = {f"{k}": stats.kstest(rng.random(2000), "uniform").pvalue for k in range(200)}
-    assert departures(p_values) == []
-    skewed = stats.kstest(rng.random(2000) ** 1.2, "uniform").pvalue
-    assert departures({**p_values, "skewed": skewed}) == ["skewed"]
-
-
 def _tight() -> SceneConfig:
     """A hidden part in which large boxes find a place now and then, and small ones nearly always."""
     layout = {"kind": "l_corridor", "relay_distance_m": 6, "room_length_m": 2.7, "room_width_m": 3.6}

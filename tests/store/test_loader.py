@@ -23,13 +23,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(noisy_config(), tmp_path_factory.mktemp("loader") / "set", fake_sample)
 
 
-@pytest.fixture(params=["in memory", "from shards"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "from shards":
-        monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
-
-
-@pytest.mark.usefixtures("way")
 def test_items_are_the_stored_values(dataset: Path) -> None:
     data = TransientDataset(dataset, fields=("histogram", "depth", "laser_points"))
     stored = {name: np.asarray(zarr.open_array(dataset / "data.zarr" / name, mode="r")[:]) for name in data.selected}

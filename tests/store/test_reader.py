@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zarr
 from datasets import write_dataset
 from fake_samples import fake_sample
 
@@ -43,28 +42,6 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def dataset(sound: Path, tmp_path: Path) -> Path:
     return shutil.copytree(sound, tmp_path / "set")
-
-
-@pytest.mark.parametrize("chunk_bytes", [2**22, 700, 90], ids=["whole", "cut on laser", "cut on laser and pixel"])
-def test_reads_what_zarr_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_bytes: int) -> None:
-    """In reads from files and from memory."""
-    monkeypatch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
-    manifest = read_manifest(write_dataset(config_of(rows=1, columns=5, pixels=3, bins=17), tmp_path, fake_sample))
-    order = [7, 0, 9, 9, 3, 4, 8]
-    for memory in (0, 2**28):
-        monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", memory)
-        reader = DatasetReader(tmp_path, manifest, manifest.schema.by_name)
-        for field in manifest.schema.fields:
-            array = zarr.open_array(tmp_path / "data.zarr" / field.name, mode="r")
-            plain = np.stack([np.asarray(array[scene]) for scene in order])
-            for _ in range(2):
-                values = reader.read(field.name, order)
-                assert values.dtype == plain.dtype
-                assert np.array_equal(values, plain, equal_nan=plain.dtype.kind == "f")
-            cast = reader.read(field.name, order, out=np.empty(plain.shape, "f8"))
-            assert np.array_equal(cast, plain.astype("f8"), equal_nan=True)
-            if field.sharded:
-                assert (field.chunk != field.shape) == (chunk_bytes < field.bytes_per_scene)
 
 
 def test_damage_is_an_error(dataset: Path) -> None:
