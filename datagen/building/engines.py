@@ -30,7 +30,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 """Environment variables of worker processes: each uses one core, because a sum that is split over threads could round
 differently."""
 
-_START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+_START_METHOD = "forkserver"
 """Workers fork from a server process that has imported the modules they need. The server's only thread is that of
 Arrow's allocator, which is safe to fork."""
 
@@ -40,9 +40,8 @@ def start_imports(*modules: str) -> None:
 
     Raises `InputError` if the path of the temporary folder is too long for a socket.
     """
-    if _START_METHOD == "forkserver":
-        multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
-        _ensure_server()
+    multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
+    _ensure_server()
 
 
 def _ensure_server() -> None:
@@ -148,8 +147,7 @@ class _Process:
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        if _START_METHOD == "forkserver":
-            _ensure_server()
+        _ensure_server()
         with _environment(ONE_THREAD), _interrupt_blocked():
             return self._pool.submit(function, *arguments)
 
@@ -186,8 +184,8 @@ def _die_with(sentinel: int) -> None:
 
     wait([sentinel])
     main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, signal.SIGTERM)
+    assert main is not None
+    signal.pthread_kill(main, signal.SIGTERM)
     time.sleep(PATIENCE_S)
     os._exit(1)
 
@@ -211,9 +209,6 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 def _interrupt_blocked() -> Iterator[None]:
     """Delay Ctrl-C until the end of the block. A terminal sends Ctrl-C to all processes; those that are started
     inside the block inherit the mask and never get it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -75,7 +75,7 @@ def clear_partials(folder: Path) -> None:
     stay."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
-            handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            handle = os.open(partial, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
                 if locked(handle, otherwise=False):
                     partial.unlink()

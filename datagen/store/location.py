@@ -166,7 +166,7 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
     file), and `CheckError` if this process has too many files open."""
     try:
         # Without O_NONBLOCK opening a pipe would wait for a writer.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
@@ -216,8 +216,7 @@ def _after_fork() -> None:
     _forked = _forked or _store_of.cache_info().currsize > 0
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @cache
