@@ -94,12 +94,13 @@ class Bucket:
         """Upload a file. A large file is sent in parts, and the object appears when all parts are there."""
         self._request("put", str(self.key), file)
 
-    def unlink(self) -> None:
-        """Remove the object if it exists."""
+    def unlink(self, missing_ok: bool = False) -> None:
+        """Remove the object; raises `FileNotFoundError` if it is missing and that is not allowed."""
         try:
             self._request("delete", str(self.key))
         except FileNotFoundError:
-            return
+            if not missing_ok:
+                raise
 
     def _below(self) -> Iterator[PurePosixPath]:
         for batch in self._guarded(self._request("list", f"{self.key}/")):

@@ -59,7 +59,6 @@ LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
 LARGEST_SCENE_BYTES = 2**34
 """Largest raw size of one field of a scene: a worker's memory could not hold more."""
-MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
 _LIGHT = ("scene", "laser", "pixel", "transient_bin")
@@ -146,10 +145,8 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     scenes_per_shard : that of an existing dataset, which keeps it.
 
-    Raises `InputError` for too many scenes, and if one time series is larger than a chunk can be.
+    Raises `InputError` if one time series is larger than a chunk can be.
     """
-    if config.scenes > MOST_SCENES:
-        raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
     fields = (
         _large_fields(config)
         + _object_tables(config)
