@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from datagen.errors import CheckError, InputError
 from datagen.exit_status import Ended
@@ -73,37 +73,14 @@ def _end_server() -> None:
         os.kill(server._forkserver._forkserver_pid, signal.SIGTERM)
 
 
-class Engine(Protocol):
-    """Runs jobs in other processes.
+class LocalProcesses:
+    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
+    be the cause.
 
     capacity : number of jobs that should be under way at once.
     deaths : the exceptions of a future whose worker died. Other exceptions come from the job itself.
     shares_shards : whether several workers may make the scenes of one shard, because results return cheaply.
     """
-
-    capacity: int
-    shares_shards: bool
-    deaths: tuple[type[BaseException], ...]
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """The future of a job. It is cancelled if the engine loses its scheduler."""
-        ...
-
-    def restore(self, say: Callable[[str], None]) -> None:
-        """Make the engine ready again after jobs were cancelled. `say` prints a line if that takes a while.
-
-        Raises `CheckError` if it takes too long.
-        """
-        ...
-
-    def close(self, kill: bool) -> None:
-        """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
-        ...
-
-
-class LocalProcesses:
-    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
-    be the cause."""
 
     # A worker that got a signal of its own raises `Ended`.
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
@@ -135,7 +112,7 @@ class LocalProcesses:
         """Nothing cancels a job here."""
 
     def close(self, kill: bool) -> None:
-        """End the workers, as `Engine.close` says."""
+        """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
         for process in self._all:
             process.stop(kill)
 
@@ -217,7 +194,8 @@ def _interrupt_blocked() -> Iterator[None]:
 
 
 class DaskCluster:
-    """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
+    """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here.
+    Attributes as of `LocalProcesses`."""
 
     # The samples of a shared shard would all pass through the scheduler.
     shares_shards = False
@@ -254,7 +232,8 @@ class DaskCluster:
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Wait until a lost scheduler is back and has a worker.
+        """Make the engine ready again after jobs were cancelled: wait until a lost scheduler is back and has a worker.
+        `say` prints a line about that. Raises `CheckError` if it takes too long.
 
         The workers of a lost scheduler end by themselves, so none continues a shard that others then make.
         """
@@ -283,6 +262,9 @@ class DaskCluster:
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
+
+
+Engine = LocalProcesses | DaskCluster
 
 
 def check_workers(workers: int) -> None:
