@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from datagen.config.device import DeviceConfig, read_device
 from datagen.detector import Exposure, Pulse, Spad
+from datagen.devices.frames import Frames
 from datagen.errors import InputError
 from datagen.records import Capture
 from datagen.records.checks import as_points
@@ -81,6 +82,16 @@ class Device(DeviceConfig):
             repetition_rate_hz=c.repetition_rate_mhz * 1e6, cycles=c.cycles, photons_per_pulse=c.photons_per_pulse,
             ambient_rate_hz=c.ambient_rate_hz, pulse_fwhm_s=(p.fwhm_ps or 0.0) * 1e-12, pulse=measured,
         )  # fmt: skip
+
+
+def check_recorded_by(source: object, frames: Frames, device: Device) -> None:
+    """Raise `InputError`, which names the `source`, for frames of other zones or bins than those of a device."""
+    _, zones, bins = frames.histograms.shape
+    if (zones, bins) != (device.zones.count, device.time.bins):
+        raise InputError(
+            f"{source}: {zones} zones of {bins} bins, {device.name} has {device.zones.count} of {device.time.bins}; "
+            "name the device that recorded it"
+        )
 
 
 def device(name: str | Path) -> Device:
