@@ -17,6 +17,7 @@ from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.devices import Frames, check_recorded_by, device, read_frames
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
+from datagen.records.sample import geometry_fields
 from datagen.store.files import sha256_of
 
 SETTINGS = ("detector", "effects", "splits", "store")
@@ -98,7 +99,6 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     pose = np.eye(4) if frames.poses is None else frames.poses[frame]
     place, forward, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
     capture = sensor.capture_at(place, place + forward, up)
-    unknown = np.full((3, 3), np.nan)
     parameters: dict[str, Scalar] = {
         "capture.file": file.name,
         "capture.frame": frame,
@@ -109,14 +109,6 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     }
     if frames.distances_m is not None:
         parameters["capture.distance_m"] = float(frames.distances_m[frame])
-    arrays = {
-        "histogram": counts,
-        "laser_points": np.full_like(capture.laser.targets, np.nan),
-        "sensor_pixels": capture.sensor.pixels,
-        "laser_position": capture.laser.position,
-        "sensor_position": capture.sensor.position,
-        "relay_wall": unknown,
-        "hidden_view": unknown,
-        "hidden_bounds": unknown[:2],
-    }
-    return Sample(index, arrays, parameters, {"read": time.perf_counter() - began})
+    nowhere = np.full_like(capture.laser.targets, np.nan)
+    places = geometry_fields(nowhere, capture.sensor.pixels, capture.laser.position, capture.sensor.position)
+    return Sample(index, {"histogram": counts, **places}, parameters, {"read": time.perf_counter() - began})
