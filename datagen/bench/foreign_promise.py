@@ -59,7 +59,7 @@ class ForeignCheck:
     asked, claimed : relative L2 error asked for, and claimed by the run.
     square, known : measured squared relative error, and its standard error.
     energy, energy_known : photons of the run over those of the truth, and the standard error of that ratio.
-    samples : of the truth, for each histogram. seconds, truth_seconds : processor seconds of run and truth.
+    samples : of the truth, for each histogram. seconds : processor seconds of the run.
     """
 
     scene: int
@@ -80,7 +80,6 @@ class ForeignCheck:
     energy_known: float
     samples: int
     seconds: float
-    truth_seconds: float
 
     @property
     def promised(self) -> bool:
@@ -135,7 +134,7 @@ class Truth:
     """Independent runs of the reference for one scene, to which more samples can be added."""
 
     def __init__(self, foreign: ForeignScene, seed: int) -> None:
-        self.foreign, self.seed, self.samples, self.seconds = foreign, seed, 0, 0.0
+        self.foreign, self.seed, self.samples = foreign, seed, 0
         self.caster = Raycaster(foreign.scene)
         self.light: dict[str, Floats] = {}
 
@@ -146,25 +145,19 @@ class Truth:
 
     def add(self, samples: int) -> None:
         """Add samples for each pair of laser point and pixel, `samples` over all runs."""
-        each = max(samples // RUNS, 1)
-
-        def draw() -> dict[str, Floats]:
-            runs = [
-                reference(
-                    self.foreign.scene, self.foreign.capture, samples=each, replicates=1, seed=seed,
-                    max_bounces=self.foreign.max_bounces, caster=self.caster, draw=sample_paths,
-                )
-                for seed in range(first, first + RUNS)
-            ]  # fmt: skip
-            return {name: np.array([lights(run)[name] for run in runs]) for name in lights(runs[0])}
-
-        first = self.seed + 1000 * self.samples
-        found, seconds = processor_seconds(draw)
+        each, first = max(samples // RUNS, 1), self.seed + 1000 * self.samples
+        runs = [
+            lights(reference(
+                self.foreign.scene, self.foreign.capture, samples=each, replicates=1, seed=seed,
+                max_bounces=self.foreign.max_bounces, caster=self.caster, draw=sample_paths,
+            ))
+            for seed in range(first, first + RUNS)
+        ]  # fmt: skip
         share = each * RUNS / (self.samples + each * RUNS)
-        for name, runs in found.items():
-            self.light[name] = runs if name not in self.light else self.light[name] * (1 - share) + runs * share
+        for name in runs[0]:
+            drawn = np.array([run[name] for run in runs])
+            self.light[name] = drawn if name not in self.light else self.light[name] * (1 - share) + drawn * share
         self.samples += each * RUNS
-        self.seconds += seconds
 
 
 def lights(run: Transient) -> dict[str, Floats]:
@@ -224,7 +217,7 @@ def _compared(
             index, "" if meshes is None else meshes.name, target, name, foreign.shapes.get(name, ""),
             foreign.brdfs.get(name, ""), ", ".join(f"{c} {w}" for c, w in sorted(ways.items())), foreign.scan,
             foreign.surroundings, foreign.max_bounces, target if name == WHOLE else each_part, claim, square, known,
-            float(energy), float(energy_known), truth.samples, seconds, truth.seconds,
+            float(energy), float(energy_known), truth.samples, seconds,
         )  # fmt: skip
         found.append(case)
     return found

@@ -232,8 +232,9 @@ class DaskCluster:
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Make the engine ready again after jobs were cancelled: wait until a lost scheduler is back and has a worker.
-        `say` prints a line about that. Raises `CheckError` if it takes too long.
+        """Wait until a lost scheduler is back and has a worker; `say` prints a line about that.
+
+        Raises `CheckError` if it takes too long.
 
         The workers of a lost scheduler end by themselves, so none continues a shard that others then make.
         """

@@ -70,8 +70,8 @@ def _mean(values: Floats, weights: Floats) -> Floats:
 
 
 def _sight(scene: Scene, capture: Capture) -> tuple[Floats, Floats]:
-    """(P, n, 3) where rays through the middles of equal cells of each zone's quadrilateral meet the first surface, NaN
-    where they meet none; and (P, n) sensitivity along each ray, 0 where it meets nothing."""
+    """(P, n, 3) first surface along rays through the middles of equal cells of each zone's quadrilateral, NaN where
+    there is none; and (P, n) sensitivity along each ray, 0 where it meets nothing."""
     sensor = capture.sensor
     corners = sensor.pixels - sensor.position
     middles = (np.arange(RAYS_ALONG) + 0.5) / RAYS_ALONG
