@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-try:
-    import fcntl
-except ImportError:  # Windows.
-    fcntl = None  # type: ignore[assignment]
+import fcntl
 
 
 def locked(handle: int, otherwise: bool) -> bool:
     """True if this process now has the lock of an open file, until the file is closed or the process ends; False if
     another process has it; `otherwise` where the file system has no locks."""
-    if fcntl is None:
-        return otherwise
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

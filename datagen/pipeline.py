@@ -27,13 +27,13 @@ from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
-from datagen.labels import LABEL_FIELDS, VOLUME_FIELDS, ObjectSlots, make_labels
+from datagen.labels import LABEL_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
-from datagen.records import Capture, Rectangle, Sample, Scalar, Scene, TimeAxis, Transient
+from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
-from datagen.records.sample import SCAN_PLACE
+from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.visibility.raycast import Raycaster
@@ -120,18 +120,25 @@ def sample_of(
                 )
     with _timed(seconds, "labels"):
         wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
-        slots = ObjectSlots(config.scene.object_classes(), config.scene.most_objects())
-        labels = make_labels(config.labels, scene, wanted, slots, surface)
+        capacity = config.scene.most_objects()
+        labels = make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
         if "objects" in wanted:
-            labels |= evidence_tables(tuple(evidence.values()), slots.capacity)
+            labels |= evidence_tables(tuple(evidence.values()), capacity)
         if "zone_depth" in config.store.fields:
             labels["zone_depth"] = zone_depth(scene, capture).astype(np.float32)
         if "presence" in config.store.fields:
-            labels["object_presence"] = presence_table(tuple(presence.values()), slots.capacity)
+            labels["object_presence"] = presence_table(tuple(presence.values()), capacity)
     arrays: dict[str, NDArray[np.generic]] = {
         name: values for name, values in measured.items() if name in config.store.fields
     }
-    arrays |= labels | image | _geometry(scene, capture, transient)
+    wall, view = (
+        None if face is None else np.stack([face.center, face.right, face.up])
+        for face in (scene.relay_wall, scene.hidden_view)
+    )
+    arrays |= labels | image | geometry_fields(
+        transient.laser_points, capture.sensor.pixels, capture.laser.position, capture.sensor.position, wall, view,
+        scene.hidden_bounds,
+    )  # fmt: skip
     parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
     return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
 
@@ -224,26 +231,6 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     start = time.perf_counter()
     yield
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
-
-
-def _geometry(scene: Scene, capture: Capture, transient: Transient) -> dict[str, Floats]:
-    bounds = scene.hidden_bounds
-    return {
-        "laser_points": transient.laser_points,
-        "sensor_pixels": capture.sensor.pixels,
-        "laser_position": capture.laser.position,
-        "sensor_position": capture.sensor.position,
-        "relay_wall": _vectors(scene.relay_wall),
-        "hidden_view": _vectors(scene.hidden_view),
-        "hidden_bounds": np.full((2, 3), np.nan) if bounds is None else bounds,
-    }
-
-
-def _vectors(rectangle: Rectangle | None) -> Floats:
-    """(3, 3) rows center, right, up; NaN without a rectangle."""
-    if rectangle is None:
-        return np.full((3, 3), np.nan)
-    return np.stack([rectangle.center, rectangle.right, rectangle.up])
 
 
 def _parameters(

@@ -236,7 +236,7 @@ def _default(value: Any) -> str:
 
 def _entry(name: str, thing: Any) -> str:
     text = [f"### {name}\n", f"```python\n{_signature(name, thing)}\n```\n", _markdown(thing)]
-    for key, value in vars(thing).items() if inspect.isclass(thing) else ():
+    for key, value in _members(thing):
         member = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
         written = member.func if isinstance(member, cached_property) else getattr(member, "fget", None) or member
         if key.startswith("_") or not inspect.isfunction(written):
@@ -244,6 +244,18 @@ def _entry(name: str, thing: Any) -> str:
         shown = f"{name}.{key}" if written is not member else _signature(f"{name}.{key}", getattr(thing, key))
         text += [f"```python\n{shown}\n```\n", _markdown(written)]
     return "\n".join(filter(None, text))
+
+
+def _members(thing: Any) -> list[tuple[str, Any]]:
+    """What a class of datagen defines, the bases that only share code included; models' bases are not."""
+    if not inspect.isclass(thing):
+        return []
+    bases = (
+        [thing]
+        if issubclass(thing, BaseModel)
+        else [one for one in thing.mro() if one.__module__.startswith("datagen.")]
+    )
+    return [entry for base in reversed(bases) for entry in vars(base).items()]
 
 
 def _signature(name: str, thing: Callable[..., Any]) -> str:

@@ -1,26 +1,32 @@
-"""`datagen bench promise`: scenes of configurations, simulated to their targets and compared with the truth.
+"""`datagen bench promise`: scenes simulated to their targets, and compared with the definition of the transient.
 
-For each scene some laser points of its scan (pixels, where one laser point has many) are taken at random and
-simulated to a target, as in a build. The error of the whole and of every object's own light is measured at `HELD` of
-them, drawn with probability by their light and weighted with its inverse, which estimates the error over all of them.
+The scenes are those of configurations, each at some random laser points (pixels, where one laser point has many), as
+in a build; or, with `--foreign`, scenes that no configuration would draw (`foreign_scenes.py`). The error of the
+whole and of each object's own light is measured against independent runs X₁ … X_K of `transport/sampled_paths.py`,
+which has no surface elements. With dₖ = ours − Xₖ,
 
-*Truth*: the same light to 1/`FINER` of the target with another seed, which draws all surface elements and samples
-anew. *Independent truth*: path tracing, which has no surface elements. For two runs of it, A and B, with independent
-noise, Σ (truth − A)(truth − B) has the mean ‖truth − true‖², so that even noisy runs measure small errors of the
-truth.
+    Σ_{j≠k} dⱼ·dₖ / (K (K − 1))    has the mean    ‖ours − true‖²,
+
+whatever the noise of the runs, which is independent in each and therefore multiplies to 0 on average. The standard
+error of that mean follows from leaving out one run after the other. Samples are added until it is known of every
+error whether it is within the error asked for, up to `MOST_SAMPLES`; cases that are then still *undecided* are
+counted apart. Of a configuration's points `HELD` are compared, drawn with probability by their light and weighted
+with its inverse, which estimates the error over all of them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
+from scipy import stats
 
-from datagen.bench.foreign_promise import report_foreign
+from datagen.bench.foreign_scenes import foreign_scene
 from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
@@ -31,39 +37,72 @@ from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.error_control.refinement import by_light
+from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampled_paths import sample_paths
+from datagen.transport.visibility.raycast import Raycaster
 
 TARGETS = (0.02, 0.05)
-POINTS, HELD, FINER = 64, 16, 3
-"""Points simulated, points at which errors are measured, and how many times more accurate the truth is. With half of
-`HELD` the measured errors scatter 1.4 times as much; with half of `FINER` the truth is nearly as wrong as the run."""
-WALKED, WALKED_FOV = 1 << 13, 4
-"""Hidden vertices of each of two runs by path tracing, and their FoV points. With half, the truth's error is known
-half as well."""
+POINTS, HELD = 64, 16
+"""Points simulated of a configuration's scene, and points at which errors are measured. With half of `HELD` the
+measured errors scatter 1.4 times as much."""
 WHOLE = "whole"
+RUNS = 8
+"""Independent runs of the truth. Half as many give 6 products instead of 28, too few for their standard error."""
+FIRST_SAMPLES, GROWTH, MOST_SAMPLES = 1 << 19, 4, 1 << 23
+"""Samples of all runs and histograms together: in the first round, their growth from round to round, and in the last
+round, which takes some 12 processor seconds. With a quarter of those, errors four times as large stay undecided."""
+WELL_KNOWN = 0.25
+"""Largest standard error of a squared error, relative to the square of the error asked for, that decides a case.
+Halved, more cases stay undecided."""
+SURE = 3.0
+"""Distance from the error asked for, in standard errors, that decides a case, too. Halved, chance would decide one in
+eight of the cases whose error is just the one asked for."""
+MOST_LOOKINS = 1 << 21
+"""Rays for each laser point after which a foreign scene may be given up, which the run says: lobes a degree wide
+would otherwise take minutes."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene to be checked.
+
+    Attributes
+    ----------
+    light : what is simulated, to any target.
+    traits : "whole" or an object → heading → what it has there, such as BRDF → GGX; the table has a line for each.
+    held : most points at which errors are measured; None: all.
+    """
+
+    light: Light
+    traits: Mapping[str, Mapping[str, str]]
+    held: int | None = None
 
 
 @dataclass(frozen=True)
 class Check:
-    """The check of a whole scene, or of one of its objects.
+    """The check of a whole scene, or of one of its objects, at one target.
 
     Attributes
     ----------
-    error, claimed, asked : relative L2 error as measured, as claimed by the run, and as asked for.
-    truth_claimed : error that the truth claims for itself.
-    truth_off, known : squared relative error of the truth as measured by path tracing, and its standard error.
-    seconds : processor seconds of the run.
+    options : of this command, which repeat it.
+    what, traits : "whole" or the object, and what it has there, the method of its light too.
+    asked, claimed : relative L2 error asked for, and claimed by the run.
+    square, known : measured squared relative error, and its standard error.
+    energy, energy_known : photons of the run over those of the truth, and the standard error of that ratio.
+    samples : of the truth, for each histogram. seconds : processor seconds of the run.
     """
 
-    config: str
-    scene: int
+    options: str
     target: float
     what: str
-    error: float
-    claimed: float
+    traits: dict[str, str]
     asked: float
-    truth_claimed: float
-    truth_off: float
+    claimed: float
+    square: float
     known: float
+    energy: float
+    energy_known: float
+    samples: int
     seconds: float
 
     @property
@@ -72,50 +111,158 @@ class Check:
         return self.claimed <= self.asked
 
     @property
-    def disputed(self) -> bool:
-        """Whether, by path tracing, the truth is off by more than a third of the error asked for, at four σ."""
-        return self.truth_off - 4 * self.known > (self.asked / 3) ** 2
+    def decided(self) -> bool:
+        """Whether it is known that the error is within the one asked for, or that it is not."""
+        return self.known <= WELL_KNOWN * self.asked**2 or abs(self.square - self.asked**2) > SURE * self.known
 
     @property
     def within(self) -> bool:
         """Whether the measured error is at most the one asked for."""
-        return self.error <= self.asked
+        return self.square <= self.asked**2
+
+    @property
+    def error(self) -> float:
+        """The measured relative error; 0 where noise makes its square negative."""
+        return math.sqrt(max(self.square, 0.0))
+
+    @property
+    def overclaimed(self) -> bool:
+        """Whether the error is, for certain, more than twice what the run claimed."""
+        return self.square - SURE * self.known > (2 * self.claimed) ** 2
 
 
-def checks_of(config: DatasetConfig, index: int, target: float, points: int = POINTS) -> list[Check]:
-    """The checks of scene `index` of a configuration: of the whole and of each object."""
-    light = _light(config, index, points)
-    run, seconds = processor_seconds(replace(light, accuracy=replace(light.accuracy, target=target)).transient)
-    claimed = {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
-    ours = _parts(run, claimed)
-    places, weight = by_light(np.stack([np.linalg.norm(ours[name], axis=1) for name in claimed], axis=1), HELD)
-    some = replace(light, capture=some_points(light.capture, places), seed=light.seed + 1)
-    finer = replace(light.accuracy, target=target / FINER, faint_part=0.0)
-    truth = replace(some, accuracy=finer).transient()
-    true = _parts(truth, claimed)
-    counts = Accuracy(
-        lookins=WALKED, fov_samples=WALKED_FOV, max_bounces=light.accuracy.max_bounces, direct=light.accuracy.direct,
-        occlusion=light.accuracy.occlusion,
-    )  # fmt: skip
-    walks = [replace(some, accuracy=counts, seed=light.seed + 2 + k).transient() for k in range(2)]
-    one, other = (_parts(walk, claimed) for walk in walks)
-    found = []
-    for name, error in claimed.items():
-        square = float(weight @ (true[name] ** 2).sum(axis=1)) or 1.0
-        off = weight @ ((ours[name][places] - true[name]) ** 2).sum(axis=1) / square
-        cross = (true[name] - one[name]) * (true[name] - other[name])
-        each = weight * cross.sum(axis=1) / square
-        noise = (true[name] - one[name]) ** 2 * (true[name] - other[name]) ** 2
-        known = math.sqrt(float((weight**2 * noise.sum(axis=1)).sum())) / square
-        asked = target if name == WHOLE else replace(light.accuracy, target=target).each_part
-        itself = (truth.error_bound if name == WHOLE else truth.part_errors.get(name)) or 0.0
-        errors = math.sqrt(off), error, asked, itself, float(each.sum()), known
-        found.append(Check(config.name, index, target, name, *errors, seconds))
+def off_square(ours: Floats, runs: Floats) -> tuple[float, float]:
+    """‖ours − true‖² without the noise of the independent runs (K, n), and its standard error.
+
+    The jackknife over runs counts the variance of products of noise with noise twice; the scatter of the products is
+    just that variance. With few runs the larger of the two estimates is a fifth too large.
+    """
+    d = ours - runs
+    gram, count = d @ d.T, len(runs)
+    pairs = count * (count - 1) / 2
+    products = gram[np.triu_indices(count, 1)]
+    # The mean without the products of run k.
+    without = (products.sum() - gram.sum(axis=1) + np.diag(gram)) / (pairs - count + 1)
+    jackknife = (count - 1) / count * float(((without - without.mean()) ** 2).sum())
+    scatter = float(products.var(ddof=1)) / pairs
+    return float(products.mean()), math.sqrt(max(jackknife - scatter, scatter))
+
+
+class Truth:
+    """Independent runs of the definition of a transient, to which more samples can be added.
+
+    light : name → (K, L, P, T) all light and the light of each part. samples : so far, for each histogram.
+    """
+
+    def __init__(self, light: Light, seed: int) -> None:
+        self.of, self.seed, self.samples = light, seed, 0
+        self.caster = Raycaster(light.scene)
+        self.light: dict[str, Floats] = {}
+
+    @property
+    def pairs(self) -> int:
+        """Number of pairs of laser point and pixel."""
+        return len(pairs_of(self.of.capture))
+
+    def add(self, samples: int) -> None:
+        """Add samples for each pair of laser point and pixel, `samples` over all runs."""
+        each, first, accuracy = max(samples // RUNS, 1), self.seed + 1000 * self.samples, self.of.accuracy
+        runs = [
+            lights(reference(
+                self.of.scene, self.of.capture, samples=each, replicates=1, seed=seed, caster=self.caster,
+                max_bounces=accuracy.max_bounces, direct=accuracy.direct, occlusion=accuracy.occlusion != "off",
+                draw=sample_paths,
+            ))
+            for seed in range(first, first + RUNS)
+        ]  # fmt: skip
+        share = each * RUNS / (self.samples + each * RUNS)
+        for name in runs[0]:
+            drawn = np.array([run[name] for run in runs])
+            self.light[name] = drawn if name not in self.light else self.light[name] * (1 - share) + drawn * share
+        self.samples += each * RUNS
+
+
+def lights(run: Transient) -> dict[str, Floats]:
+    """Name → (L, P, T) all light, and the light of each part."""
+    return {WHOLE: run.total, **run.parts}
+
+
+def checks_of(case: Case, targets: Sequence[float], options: str = "") -> list[Check]:
+    """The checks of a scene, simulated to each target and compared with one truth: of the whole and each object."""
+    light, runs = case.light, []
+    for target in targets:
+        asked = replace(light, accuracy=replace(light.accuracy, target=target))
+        runs.append((asked.accuracy, *processor_seconds(partial(_simulated, asked))))
+    points, weight = _compared_points(light.capture, runs[0][1], case.held)
+    truth = Truth(replace(light, capture=some_points(light.capture, points)), light.seed % 2**32)
+    samples = FIRST_SAMPLES
+    while True:
+        truth.add(max(samples // truth.pairs, RUNS))
+        found = [one for run in runs for one in _compared(options, case, points, weight, truth, *run)]
+        samples *= GROWTH
+        if samples > MOST_SAMPLES or all(one.decided or not one.promised or _hopeless(one, truth) for one in found):
+            return found
+
+
+def _simulated(light: Light) -> Transient:
+    return light.transient()
+
+
+def _hopeless(one: Check, truth: Truth) -> bool:
+    """Whether not even the last round would decide a case: the noise of products falls with the number of samples."""
+    growth = 2 * MOST_SAMPLES / (one.samples * truth.pairs)
+    return one.known > growth * WELL_KNOWN * one.asked**2
+
+
+def _claims(run: Transient) -> dict[str, float]:
+    return {WHOLE: run.error_bound or 0.0} | {name: error for name, error in run.part_errors.items() if error > 0}
+
+
+def _point_axis(capture: Capture) -> int:
+    """Axis of a transient along which the points of a capture lie: laser points if confocal, else pixels."""
+    return 0 if capture.pairing == "confocal" else 1
+
+
+def _compared_points(capture: Capture, run: Transient, most: int | None) -> tuple[Ints, Floats]:
+    """Numbers of the points at which errors are measured, and how many points each of them stands for."""
+    axis, found = _point_axis(capture), lights(run)
+    norms = np.stack([np.sqrt((found[name] ** 2).sum(axis=(1 - axis, 2))) for name in _claims(run)], axis=1)
+    return by_light(norms, len(norms) if most is None else most)
+
+
+def _compared(
+    options: str, case: Case, points: Ints, weight: Floats, truth: Truth, accuracy: Accuracy, run: Transient,
+    seconds: float,
+) -> list[Check]:  # fmt: skip
+    light, found, axis = lights(run), [], _point_axis(case.light.capture)
+    weight = weight[:, None, None] if axis == 0 else weight[:, None]
+    assert run.spend is not None and accuracy.target is not None
+    for name, claim in _claims(run).items():
+        ours, runs = light[name].take(points, axis=axis), truth.light[name]
+        energies, own = (runs * weight).sum(axis=(1, 2, 3)), float((ours * weight).sum())
+        flat, each = (ours * np.sqrt(weight)).ravel(), (runs * np.sqrt(weight)).reshape(len(runs), -1)
+        norm, _ = off_square(np.zeros_like(flat), each)
+        norm = max(norm, 1e-3 * float((each.mean(axis=0) ** 2).sum())) or 1.0
+        square, known = (of / norm for of in off_square(flat, each))
+        energy = own / energies.mean() if energies.mean() > 0 else float(own > 0)
+        energy_known = stats.sem(energies) / energies.mean() if energies.mean() > 0 else 0.0
+        ways = {component: way for component, way in run.spend.way.items() if name == WHOLE or component == "primary"}
+        traits = {**case.traits.get(name, {}), "way": ", ".join(f"{c} {w}" for c, w in sorted(ways.items()))}
+        found.append(Check(
+            options, accuracy.target, name, traits, accuracy.target if name == WHOLE else accuracy.each_part,
+            claim, square, known, float(energy), float(energy_known), truth.samples, seconds,
+        ))  # fmt: skip
     return found
 
 
-def _light(config: DatasetConfig, index: int, points: int) -> Light:
-    """The light that a build would simulate, at some laser points or pixels."""
+def some_points(capture: Capture, points: Ints) -> Capture:
+    """A capture with some of its pixels, and in confocal scans with their laser points."""
+    lasers = points if capture.pairing == "confocal" else np.arange(len(capture.laser.targets))
+    return capture.excerpt(lasers, points)
+
+
+def case_of(config: DatasetConfig, index: int, points: int = POINTS) -> Case:
+    """Scene `index` of a configuration, at some laser points or pixels, as a build would simulate it."""
     scene = scene_for(config, index)
     whole = capture_for(config, scene, config.seed, index)
     effects = transport_effects(config, scene, whole, index)
@@ -124,49 +271,50 @@ def _light(config: DatasetConfig, index: int, points: int) -> Light:
     )
     count = len(whole.sensor.pixels)
     rng = np.random.default_rng([config.seed, index])
-    return replace(light, capture=some_points(whole, np.sort(rng.permutation(count)[:points])))
+    capture = some_points(whole, np.sort(rng.permutation(count)[:points]))
+    return Case(replace(light, capture=capture), {WHOLE: {"configuration": config.name}}, HELD)
 
 
-def some_points(capture: Capture, points: Ints) -> Capture:
-    """A capture with some of its pixels, and in confocal scans with their laser points."""
-    laser = capture.laser
-    if capture.pairing == "confocal":
-        laser = laser.take(points)
-    return replace(capture, laser=laser, sensor=capture.sensor.take(points))
-
-
-def _parts(run: Transient, names: Mapping[str, float]) -> dict[str, Floats]:
-    """(n, T) histograms of the whole and of objects."""
-    found = {name: run.total if name == WHOLE else run.parts[name] for name in names}
-    return {name: values.reshape(-1, values.shape[-1]) for name, values in found.items()}
+def foreign_case(index: int, meshes: Path | None = None) -> Case:
+    """Foreign scene `index`."""
+    foreign = foreign_scene(index, meshes)
+    accuracy = Accuracy(max_bounces=foreign.max_bounces, max_lookins=MOST_LOOKINS)
+    traits = {name: {"brdf": foreign.brdfs[name], "shape": shape} for name, shape in foreign.shapes.items()}
+    traits[WHOLE] = {"scan": foreign.scan, "surroundings": foreign.surroundings}
+    return Case(Light(foreign.scene, foreign.capture, accuracy, index), traits)
 
 
 def table(found: Sequence[Check]) -> str:
-    """Markdown, a line for each target and kind."""
-    head = ["target", "of", "cases", "not promised", *KEPT, "claimed / true: median", "truth by walks: median",
-            "beyond 4 σ"]  # fmt: skip
+    """Markdown: a line for wholes and objects at each target, then for each of their traits."""
+    head = ["of", "target", "cases", "undecided", "not promised", *KEPT, "beyond twice its claim"]
     rows = []
-    for target in sorted({one.target for one in found}):
-        for kind in (WHOLE, "each object"):
-            every = [one for one in found if one.target == target and (one.what == WHOLE) == (kind == WHOLE)]
-            some = [one for one in every if one.promised]
-            if not some:
-                continue
-            kept = promises_kept([one.error / one.asked for one in some], [one.within for one in some])
-            claimed = np.median([one.claimed / max(one.error, 1e-9) for one in some])
-            off = math.sqrt(max(float(np.median([one.truth_off for one in some])), 0.0))
-            counts = str(len(some)), str(len(every) - len(some))
-            beyond = str(sum(one.disputed for one in some))
-            rows.append([f"{target:g}", kind, *counts, *kept, f"{claimed:.2f}", f"{off:.2%}", beyond])
-    return markdown(head, rows, words=2)
+    for kind, cases in (("whole", [one for one in found if one.what == WHOLE]),
+                        ("objects", [one for one in found if one.what != WHOLE])):  # fmt: skip
+        headings = dict.fromkeys(name for one in cases for name in one.traits if kind == "whole" or name != "way")
+        for heading in (None, *headings):
+            for trait, target in sorted({(one.traits.get(heading or "", ""), one.target) for one in cases}):
+                some = [one for one in cases if (one.traits.get(heading or "", ""), one.target) == (trait, target)]
+                rows.append([f"{kind}, {trait}" if heading else kind, f"{target:g}", *_row(some)])
+    return markdown(head, rows, words=1)
 
 
-def _line(one: Check) -> str:
-    """One check in a line."""
+def _row(cases: Sequence[Check]) -> list[str]:
+    promised = [one for one in cases if one.promised]
+    known = [one for one in promised if one.decided]
+    counts = [str(len(cases)), str(len(promised) - len(known)), str(len(cases) - len(promised))]
+    overclaimed = str(sum(one.overclaimed for one in promised))
+    if not known:
+        return [*counts, *[""] * len(KEPT), overclaimed]
+    kept = promises_kept([one.error / one.asked for one in known], [one.within for one in known])
+    return [*counts, *kept, overclaimed]
+
+
+def line_of(one: Check) -> str:
+    """A check in one line, with the options that repeat it."""
     return (
-        f"{one.config} scene {one.scene}, target {one.target:g}, {one.what}: true {one.error:.4f}, claimed "
-        f"{one.claimed:.4f}; the truth claims {one.truth_claimed:.4f} of itself, walks {one.truth_off:.1e} ± "
-        f"{one.known:.1e} of its square"
+        f"{one.options} --target {one.target:g}: {one.what} ({', '.join(one.traits.values())}): true {one.error:.4f} "
+        f"(square {one.square:.1e} ± {one.known:.0e}), asked {one.asked:g}, claimed {one.claimed:.4f}; energy "
+        f"{one.energy:.4f} ± {one.energy_known:.4f}"
     )
 
 
@@ -189,32 +337,43 @@ def main(
     are fixed, promise nothing and are passed over.
 
     With --foreign N no CONFIGS are wanted: N scenes of random shapes (and meshes), BRDFs, devices and scans are
-    compared with the definition of the transient.
+    compared in the same way.
     """
     if scenes < 1 or points < 1 or first < 0:
         raise InputError(f"--scenes {scenes} --points {points} --first {first}: must be ≥ 1, and first ≥ 0")
-    if foreign is not None:
-        if foreign < 1 or configs:
-            raise InputError(f"--foreign {foreign}: must be ≥ 1, and stand without configurations")
-        return report_foreign(Path(out), range(first, first + foreign), targets, meshes)
-    if meshes is not None or not configs:
+    if foreign is not None and (foreign < 1 or configs):
+        raise InputError(f"--foreign {foreign}: must be ≥ 1, and stand without configurations")
+    if foreign is None and (meshes is not None or not configs):
         raise InputError("datagen bench promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
-    ready = {one.name: one for one in map(load_config, configs) if one.transport.target is not None}
-
-    def measure(missing: list[tuple[str, int, float]]) -> list[Check]:
-        return [one for name, index, target in missing for one in checks_of(ready[name], index, target, points)]
-
-    jobs = [[(name, index, target)] for index in range(first, first + scenes) for target in targets for name in ready]
-    file = Path(out) / "promise.json"
-    found = continued(file, Check, lambda one: (one.config, one.scene, one.target), measure, jobs)
+    name = "promise" if foreign is None else "foreign"
+    of_meshes = f" --meshes …/{meshes.name}" if meshes else ""
+    ready = {path: config for path in configs if (config := load_config(path)).transport.target is not None}
+    # Options that repeat a case → what makes it.
+    cases: Mapping[str, Callable[[], Case]] = {
+        f"--foreign 1 --first {index}{of_meshes}": partial(foreign_case, index, meshes)
+        for index in range(first, first + (foreign or 0))
+    } | {
+        f"{path} --scenes 1 --first {index} --points {points}": partial(case_of, config, index, points)
+        for index in range(first, first + scenes)
+        for path, config in ready.items()
+    }
+    found = continued(
+        Path(out) / f"{name}_checks.json",
+        Check,
+        lambda one: (one.options, one.target),
+        lambda missing: checks_of(cases[missing[0][0]](), [target for _, target in missing], missing[0][0]),
+        [[(options, target) for target in targets] for options in cases],
+    )
     if not found:
         raise InputError("datagen bench promise: none of the configurations has a target; name others")
-    cases = {(one.config, one.scene) for one in found}
-    text = (
-        f"{len(cases)} scenes of {len({name for name, _ in cases})} configurations; {machine()}\n\n{table(found)}\n"
-    )
-    (Path(out) / "promise.md").write_text(text, encoding="utf-8")
+    count = len({one.options for one in found})
+    of = "foreign scenes"
+    if foreign is None:
+        of = f"scenes of {len({one.traits['configuration'] for one in found if one.what == WHOLE})} configurations"
+    seconds = sum({(one.options, one.target): one.seconds for one in found}.values())
+    text = f"{count} {of}, simulated in {seconds:.0f} processor seconds; {machine()}\n\n{table(found)}\n"
+    (Path(out) / f"{name}.md").write_text(text, encoding="utf-8")
     click.echo(text)
-    for one in found:
-        if one.disputed or (one.promised and not one.within):
-            click.echo(_line(one))
+    for one in sorted(found, key=lambda one: one.error / one.asked, reverse=True):
+        if (one.promised and one.decided and not one.within) or one.overclaimed:
+            click.echo(line_of(one))

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import Any, NoReturn, Protocol
+from typing import Any, NoReturn
 
 from datagen.errors import CheckError, InputError
 from datagen.exit_status import Ended
@@ -30,7 +30,7 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 """Environment variables of worker processes: each uses one core, because a sum that is split over threads could round
 differently."""
 
-_START_METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+_START_METHOD = "forkserver"
 """Workers fork from a server process that has imported the modules they need. The server's only thread is that of
 Arrow's allocator, which is safe to fork."""
 
@@ -40,9 +40,8 @@ def start_imports(*modules: str) -> None:
 
     Raises `InputError` if the path of the temporary folder is too long for a socket.
     """
-    if _START_METHOD == "forkserver":
-        multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
-        _ensure_server()
+    multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
+    _ensure_server()
 
 
 def _ensure_server() -> None:
@@ -74,37 +73,14 @@ def _end_server() -> None:
         os.kill(server._forkserver._forkserver_pid, signal.SIGTERM)
 
 
-class Engine(Protocol):
-    """Runs jobs in other processes.
+class LocalProcesses:
+    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
+    be the cause.
 
     capacity : number of jobs that should be under way at once.
     deaths : the exceptions of a future whose worker died. Other exceptions come from the job itself.
     shares_shards : whether several workers may make the scenes of one shard, because results return cheaply.
     """
-
-    capacity: int
-    shares_shards: bool
-    deaths: tuple[type[BaseException], ...]
-
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """The future of a job. It is cancelled if the engine loses its scheduler."""
-        ...
-
-    def restore(self, say: Callable[[str], None]) -> None:
-        """Make the engine ready again after jobs were cancelled. `say` prints a line if that takes a while.
-
-        Raises `CheckError` if it takes too long.
-        """
-        ...
-
-    def close(self, kill: bool) -> None:
-        """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
-        ...
-
-
-class LocalProcesses:
-    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
-    be the cause."""
 
     # A worker that got a signal of its own raises `Ended`.
     deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
@@ -136,7 +112,7 @@ class LocalProcesses:
         """Nothing cancels a job here."""
 
     def close(self, kill: bool) -> None:
-        """End the workers, as `Engine.close` says."""
+        """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
         for process in self._all:
             process.stop(kill)
 
@@ -148,8 +124,7 @@ class _Process:
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        if _START_METHOD == "forkserver":
-            _ensure_server()
+        _ensure_server()
         with _environment(ONE_THREAD), _interrupt_blocked():
             return self._pool.submit(function, *arguments)
 
@@ -186,8 +161,8 @@ def _die_with(sentinel: int) -> None:
 
     wait([sentinel])
     main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, signal.SIGTERM)
+    assert main is not None
+    signal.pthread_kill(main, signal.SIGTERM)
     time.sleep(PATIENCE_S)
     os._exit(1)
 
@@ -211,9 +186,6 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 def _interrupt_blocked() -> Iterator[None]:
     """Delay Ctrl-C until the end of the block. A terminal sends Ctrl-C to all processes; those that are started
     inside the block inherit the mask and never get it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -222,7 +194,8 @@ def _interrupt_blocked() -> Iterator[None]:
 
 
 class DaskCluster:
-    """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here."""
+    """The workers of a Dask cluster that share a file system; without `scheduler` a cluster is started here.
+    Attributes as of `LocalProcesses`."""
 
     # The samples of a shared shard would all pass through the scheduler.
     shares_shards = False
@@ -259,7 +232,9 @@ class DaskCluster:
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
-        """Wait until a lost scheduler is back and has a worker.
+        """Wait until a lost scheduler is back and has a worker; `say` prints a line about that.
+
+        Raises `CheckError` if it takes too long.
 
         The workers of a lost scheduler end by themselves, so none continues a shard that others then make.
         """
@@ -288,6 +263,9 @@ class DaskCluster:
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
+
+
+Engine = LocalProcesses | DaskCluster
 
 
 def check_workers(workers: int) -> None:

@@ -204,7 +204,7 @@ def _last_line_of(error: BaseException) -> str:
 @contextmanager
 def _opened(path: Path) -> Iterator[int]:
     """The handle of a file, which is created if it is missing."""
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
     try:
         yield handle
     finally:
@@ -242,11 +242,7 @@ def limited(seconds: float | None) -> Iterator[None]:
     """Raise `Overtime` if the block takes longer than `seconds` (None: no limit). If no exception can reach the
     block, such as in compiled code that never returns, this process ends. In other threads than the main one there is
     no limit."""
-    if (
-        seconds is None
-        or not hasattr(signal, "setitimer")
-        or threading.current_thread() is not threading.main_thread()
-    ):
+    if seconds is None or threading.current_thread() is not threading.main_thread():
         yield
         return
 

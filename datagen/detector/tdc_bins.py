@@ -132,10 +132,15 @@ class TdcBins:
     def shares(self) -> tuple[Array, Counts]:
         """(pixel or 1, window) share of a bin's records that keep its number, and number of TDC bins that its records
         get into; for records in whole bins."""
-        rows, window = len(self.to_s), len(self.from_s) - 1
-        kept, touched = np.empty((rows, window)), np.zeros((rows, window), np.int64)
-        _fill_shares(self.from_s, self.to_s, kept, touched)
-        return kept, touched
+        low, high = self.from_s[:-1], self.from_s[1:]
+        within = np.minimum(high, self.to_s[:, 1:]) - np.maximum(low, self.to_s[:, :-1])
+        touched = np.empty(within.shape, np.int64)
+        for row, edges in enumerate(self.to_s):
+            # TDC bins of no width record nothing.
+            filled = np.append(0, np.cumsum(np.diff(edges) > 0))
+            before, until = np.searchsorted(edges[1:], low, side="right"), np.searchsorted(edges[:-1], high)
+            touched[row] = filled[until] - filled[before]
+        return np.maximum(within, 0.0) / (high - low), touched
 
     def mean(self, records: Array, pixels: NDArray[np.int64] | None = None) -> Array:
         """(…, bins) expected records in the TDC's bins, from those in the incoming bins (…, m), m ≥ n.
@@ -169,22 +174,6 @@ class TdcBins:
 def _overlap(low: float, high: float, edges: Array, k: int) -> float:
     """Share of the interval `low … high` in TDC bin k."""
     return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))
-
-
-@compiled()
-def _fill_shares(from_s: Array, to_s: Array, kept: Array, touched: Counts) -> None:
-    """Fill in the arrays of `TdcBins.shares`."""
-    for p in range(len(to_s)):
-        edges, j = to_s[p], 0
-        for i in range(len(from_s) - 1):
-            low, high = from_s[i], from_s[i + 1]
-            while edges[j + 1] <= low:
-                j += 1
-            kept[p, i] = _overlap(low, high, edges, i)
-            k = j
-            while k < len(edges) - 1 and edges[k] < high:
-                touched[p, i] += edges[k + 1] > edges[k]
-                k += 1
 
 
 @compiled()

@@ -5,7 +5,7 @@ from datagen.config.device import device_names
 from datagen.devices.calibrate import Calibration, Fitted, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
-from datagen.devices.model import Device, device, write_device
+from datagen.devices.model import Device, check_recorded_by, device, write_device
 from datagen.devices.sight import share_of_late_zones, zone_depth
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "Fitted",
     "Frames",
     "calibrate",
+    "check_recorded_by",
     "compare",
     "compare_datasets",
     "device",

@@ -26,7 +26,7 @@ import scipy.optimize
 from scipy.special import ndtr
 
 from datagen.devices.frames import Frames
-from datagen.devices.model import Device
+from datagen.devices.model import Device, check_recorded_by
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_number
@@ -64,8 +64,25 @@ class Fitted:
         return f"{self.value:.5g} ± {self.error:.1g}"
 
 
+class HistogramErrors:
+    """The errors of histograms (n, zones, bins), as `modelled` and as `measured`."""
+
+    measured: Floats
+    modelled: Floats
+
+    @cached_property
+    def relative_l2(self) -> Floats:
+        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
+        return relative_l2(self.modelled, self.measured)
+
+    @cached_property
+    def peak_shift(self) -> Floats:
+        """(n, zones) modelled minus measured position of the peak, bins."""
+        return peak_positions(self.modelled) - peak_positions(self.measured)
+
+
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(HistogramErrors):
     """What `calibrate` found.
 
     Attributes
@@ -83,19 +100,9 @@ class Calibration:
     modelled: Floats
 
     @cached_property
-    def relative_l2(self) -> Floats:
-        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
-        return relative_l2(self.modelled, self.measured)
-
-    @cached_property
     def brightness_error(self) -> Floats:
         """(n, zones) relative error of a histogram's sum."""
         return np.asarray(self.modelled.sum(axis=2) / self.measured.sum(axis=2) - 1)
-
-    @cached_property
-    def peak_shift(self) -> Floats:
-        """(n, zones) modelled minus measured position of the peak, bins."""
-        return peak_positions(self.modelled) - peak_positions(self.measured)
 
     def text(self) -> str:
         """A table of the fitted numbers and of the errors on the tested frames."""
@@ -187,12 +194,7 @@ def calibrate(
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
-    _, zones, bins = frames.histograms.shape
-    if (zones, bins) != (device.zones.count, device.time.bins):
-        raise InputError(
-            f"{frames.source}: {zones} zones of {bins} bins, {device.name} has {device.zones.count} of "
-            f"{device.time.bins}; name the device that recorded it"
-        )
+    check_recorded_by(frames.source, frames, device)
     if device.zones.map is not None:
         raise InputError(
             f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"

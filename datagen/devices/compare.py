@@ -30,15 +30,15 @@ from datagen.config.device import device_names
 from datagen.detector import expected_histogram
 from datagen.devices.calibrate import (
     Fitted,
+    HistogramErrors,
     blind_periods,
     clustered_covariance,
-    peak_positions,
     relative_l2,
     saturated,
     unsaturated,
 )
 from datagen.devices.frames import Frames
-from datagen.devices.model import Device, device
+from datagen.devices.model import Device, check_recorded_by, device
 from datagen.errors import InputError
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats, Ints
@@ -84,7 +84,7 @@ TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(HistogramErrors):
     """Histograms as recorded and as simulated.
 
     Attributes
@@ -105,20 +105,10 @@ class Comparison:
     device: Device | None = None
 
     @cached_property
-    def relative_l2(self) -> Floats:
-        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
-        return relative_l2(self.modelled, self.measured)
-
-    @cached_property
     def residual_sd(self) -> Floats:
         """(zones,) root mean square of (measured − modelled) / √modelled: 1 if Poisson noise alone is left."""
         squares = (self.measured - self.modelled) ** 2 / np.maximum(self.modelled, 1.0)
         return np.asarray(np.sqrt(squares.mean(axis=(0, 2))))
-
-    @cached_property
-    def peak_shift(self) -> Floats:
-        """(n, zones) modelled minus measured position of the peak, bins."""
-        return peak_positions(self.modelled) - peak_positions(self.measured)
 
     @cached_property
     def left(self) -> dict[str, float]:
@@ -239,10 +229,7 @@ def compare(
     shape = frames.histograms.shape[1:]
     fitting = [mode for mode in modes if (mode.zones.count, mode.time.bins) == shape]
     if not fitting:
-        raise InputError(
-            f"{frames.source}: {shape[0]} zones of {shape[1]} bins, {sensor.name} has {sensor.zones.count} of "
-            f"{sensor.time.bins}; name the device that recorded it"
-        )
+        check_recorded_by(frames.source, frames, sensor)
     held_back = len(frames) >= FEWEST_HELD_BACK
     fitted = np.arange(len(frames))[:: 2 if held_back else 1]
     tested = np.arange(len(frames))[1::2] if held_back else fitted

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from datagen.config.detector import DetectorConfig
 from datagen.config.device import DeviceConfig, read_device
-from datagen.detector import Exposure, Pulse, Spad
+from datagen.detector import Exposure, Spad, detector_for
+from datagen.devices.frames import Frames
 from datagen.errors import InputError
 from datagen.records import Capture
 from datagen.records.checks import as_points
@@ -56,31 +58,26 @@ class Device(DeviceConfig):
     @property
     def spad(self) -> Spad:
         """The detector."""
-        c = self.counting
-        start = width = None
-        if c.gate_ns == "histogram":
-            start, width = self.axis.start_s, self.axis.stop_s - self.axis.start_s
-        elif c.gate_ns is not None:
-            start, width = c.gate_ns[0] * 1e-9, c.gate_ns[1] * 1e-9
-        return Spad(
-            pde=c.pde, dark_count_rate_hz=c.dark_count_rate_hz, dead_time_s=c.dead_time_ns * 1e-9,
-            jitter_fwhm_s=c.jitter_fwhm_ps * 1e-12, jitter_tail_s=c.jitter_tail_ps * 1e-12,
-            jitter_tail_fraction=c.jitter_tail_fraction, afterpulse_probability=c.afterpulse_probability,
-            crosstalk_probability=c.crosstalk_probability, mode=c.mode, gate_start_s=start, gate_width_s=width,
-            array_columns=self.zones.columns if c.crosstalk_probability else None, bins_merged=self.time.steps,
-        )  # fmt: skip
+        return self._detector()[0]
 
     @property
     def exposure(self) -> Exposure:
         """The exposure of one frame."""
-        c, p = self.counting, self.pulse
-        measured = None
-        if p.sample_ps is not None:
-            measured = Pulse(p.samples, p.sample_ps * 1e-12, p.start_ps * 1e-12)
-        return Exposure(
-            repetition_rate_hz=c.repetition_rate_mhz * 1e6, cycles=c.cycles, photons_per_pulse=c.photons_per_pulse,
-            ambient_rate_hz=c.ambient_rate_hz, pulse_fwhm_s=(p.fwhm_ps or 0.0) * 1e-12, pulse=measured,
-        )  # fmt: skip
+        return self._detector()[1]
+
+    def _detector(self) -> tuple[Spad, Exposure]:
+        """Detector and exposure, as of the scenes of a dataset with this device."""
+        return detector_for(DetectorConfig().of_device(self), 0, 0)
+
+
+def check_recorded_by(source: object, frames: Frames, device: Device) -> None:
+    """Raise `InputError`, which names the `source`, for frames of other zones or bins than those of a device."""
+    _, zones, bins = frames.histograms.shape
+    if (zones, bins) != (device.zones.count, device.time.bins):
+        raise InputError(
+            f"{source}: {zones} zones of {bins} bins, {device.name} has {device.zones.count} of {device.time.bins}; "
+            "name the device that recorded it"
+        )
 
 
 def device(name: str | Path) -> Device:

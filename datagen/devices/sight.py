@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from datagen.records import Capture, Scene
@@ -16,22 +14,6 @@ from datagen.units import time_from_path
 RAYS_ALONG = 16
 """Rays along each side of a zone. Halved, the depth of a zone with an object's edge in it errs by up to a 16th of
 the step there instead of a 32nd."""
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """What P zones see along n rays each.
-
-    Attributes
-    ----------
-    axes : (P, 3) unit vectors from the sensor to the middles of the zones.
-    points : (P, n, 3) where the rays meet the first surface; NaN where they meet none.
-    weights : (P, n) sensitivity along each ray; 0 where it meets nothing.
-    """
-
-    axes: Floats
-    points: Floats
-    weights: Floats
 
 
 def zone_depth(scene: Scene, capture: Capture) -> Floats:
@@ -60,9 +42,10 @@ def zone_depth(scene: Scene, capture: Capture) -> Floats:
     """
     check_kind("scene", scene, Scene)
     check_kind("capture", capture, Capture)
-    sight = _sight(scene, capture)
-    along = np.einsum("pnk,pk->pn", sight.points - capture.sensor.position, sight.axes)
-    return _mean(along, sight.weights)
+    points, weights = _sight(scene, capture)
+    axes = (capture.sensor.pixels - capture.sensor.position).mean(axis=1)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return _mean(np.einsum("pnk,pk->pn", points - capture.sensor.position, axes), weights)
 
 
 def share_of_late_zones(scene: Scene, capture: Capture) -> float:
@@ -70,9 +53,9 @@ def share_of_late_zones(scene: Scene, capture: Capture) -> float:
 
     The way of the light is taken from the laser's position to what the zone sees, and from there to the sensor.
     """
-    sight = _sight(scene, capture)
-    way = sum(np.linalg.norm(sight.points - at, axis=2) for at in (capture.laser.position, capture.sensor.position))
-    late = _mean((time_from_path(way) >= capture.time.stop_s).astype(np.float64), sight.weights)
+    points, weights = _sight(scene, capture)
+    way = sum(np.linalg.norm(points - at, axis=2) for at in (capture.laser.position, capture.sensor.position))
+    late = _mean((time_from_path(way) >= capture.time.stop_s).astype(np.float64), weights)
     late = late[np.isfinite(late)]
     return float((late > 0.5).mean()) if len(late) else 0.0
 
@@ -86,8 +69,9 @@ def _mean(values: Floats, weights: Floats) -> Floats:
         )
 
 
-def _sight(scene: Scene, capture: Capture) -> _Sight:
-    """Rays through the middles of equal cells of each zone's quadrilateral."""
+def _sight(scene: Scene, capture: Capture) -> tuple[Floats, Floats]:
+    """(P, n, 3) first surface along rays through the middles of equal cells of each zone's quadrilateral, NaN where
+    there is none; and (P, n) sensitivity along each ray, 0 where it meets nothing."""
     sensor = capture.sensor
     corners = sensor.pixels - sensor.position
     middles = (np.arange(RAYS_ALONG) + 0.5) / RAYS_ALONG
@@ -100,6 +84,4 @@ def _sight(scene: Scene, capture: Capture) -> _Sight:
     if sensor.footprints is not None:
         uv = np.broadcast_to(np.hstack([u, v]), (len(corners), len(u), 2))
         weights = sensitivity(sensor.footprints, np.arange(len(corners))[:, None], uv)
-    axes = corners.mean(axis=1)
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return _Sight(axes, points, np.where(np.isfinite(points[..., 0]), weights, 0.0))
+    return points, np.where(np.isfinite(points[..., 0]), weights, 0.0)

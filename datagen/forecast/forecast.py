@@ -14,6 +14,7 @@ from datagen.errors import InputError
 from datagen.forecast.pilots import Pilots
 from datagen.store import Schema, ShardRecord, committed, read_manifest
 from datagen.store.files import bytes_below, finite
+from datagen.store.record import scenes_made
 from datagen.store.summaries import KindEvidence
 
 
@@ -141,14 +142,14 @@ def records_of(config: DatasetConfig, dataset: str | Path) -> list[ShardRecord]:
             f"not {config.fingerprint()[:12]}); name a dataset of this one"
         )
     records = committed(root, manifest)
-    if all(scene.failure for record in records for scene in record.scenes):
+    if not scenes_made(records):
         raise InputError(f"--against {root}: holds no finished scene yet; build it first")
     return records
 
 
 def outcomes(expected: Forecast, records: Sequence[ShardRecord], dataset: str | Path) -> list[Outcome]:
     """The forecast's numbers beside those of the dataset: medians over scenes of seconds and error, and bytes."""
-    made = [scene for record in records for scene in record.scenes if scene.failure is None]
+    made = scenes_made(records)
     scenes = sum(len(record.scenes) for record in records)
     store_s = sum(record.seconds["store"] for record in records) / scenes
     scene_s = statistics.median(sum(scene.seconds.values()) for scene in made) + store_s

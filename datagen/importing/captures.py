@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Mapping, Sequence
@@ -13,12 +12,19 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from datagen.building.build import BuildResult, build
-from datagen.config import DatasetConfig, config_from_mapping
+from datagen.config import DatasetConfig
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
-from datagen.importing.frames import LARGEST_COUNTS, check_settings, config_of_frames, sample_of_frame, scene_of_files
+from datagen.importing.frames import (
+    LARGEST_COUNTS,
+    config_of_frames,
+    dtype_of_counts,
+    imported_config,
+    sample_of_frame,
+    scene_of_files,
+)
 from datagen.importing.mat import read_mat
 from datagen.importing.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.importing.tal import read_tal
@@ -248,7 +254,6 @@ def _config(
                 f"{other.file.name}: {other}, {first.file.name}: {first}; all of a dataset have one "
                 f"shape, time axis and pairing: {remedy}"
             )
-    check_settings(settings)
     lasers, pixels, _ = first.shape
     view = {} if first.paired else {"rows": 1, "columns": pixels}
     capture = {
@@ -257,16 +262,10 @@ def _config(
         "field_of_view": view,
         "time": first.time.model_dump(mode="json"),
     }
-    layout = {
-        "kind": "imported",
-        "files": [capture.file.model_dump(mode="json") for capture in given],
-        "options": options.model_dump(mode="json"),
-        "detector_is_known": "detector" in settings,
-    }
-    store = dict(settings.pop("store", {})) | _stored(given, field)
-    scene = {"layout": layout, "contents": []}
-    whole = settings | named | {"scenes": len(given), "scene": scene, "capture": capture, "store": store}
-    return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
+    return imported_config(
+        [one.file for one in given], capture, _stored(given, field), settings, named, options=options,
+        detector_is_known="detector" in settings,
+    )  # fmt: skip
 
 
 def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
@@ -287,7 +286,7 @@ def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
         if most.most > float(np.finfo(np.float32).max):
             raise InputError(f"{most.file.name}: holds {most.most:g}, more than a float32 can")
         return {"fields": ["transient"]}
-    dtype = next((name for name, limit in LARGEST_COUNTS.items() if most.most <= limit), None)
+    dtype = dtype_of_counts(most.most)
     if dtype is None:
         raise InputError(
             f"{most.file.name}: counts up to {most.most:g}, at most {LARGEST_COUNTS['uint32']} are stored; take "

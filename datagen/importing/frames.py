@@ -1,4 +1,5 @@
-"""Frames of a sensor of zones as samples: the fields of a simulated dataset of the same device."""
+"""The configuration of an imported dataset, and frames of a sensor of zones as samples: the fields of a simulated
+dataset of the same device."""
 
 from __future__ import annotations
 
@@ -12,21 +13,42 @@ from typing import Any
 import numpy as np
 
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.config.imported import ImportedFile
-from datagen.devices import Frames, device, read_frames
+from datagen.config.imported import ImportedFile, ImportOptions
+from datagen.devices import Frames, check_recorded_by, device, read_frames
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
+from datagen.records.sample import geometry_fields
 from datagen.store.files import sha256_of
 
 SETTINGS = ("detector", "effects", "splits", "store")
 LARGEST_COUNTS = {"uint16": 2**16 - 1, "uint32": 2**32 - 1}
 
 
-def check_settings(settings: dict[str, Any]) -> None:
-    """Raise `InputError` for a section that an import does not take."""
+def imported_config(
+    files: Sequence[ImportedFile], capture: dict[str, Any], stored: dict[str, Any], settings: dict[str, Any],
+    named: dict[str, Any], *, options: ImportOptions | None = None, detector_is_known: bool = True,
+) -> DatasetConfig:  # fmt: skip
+    """The configuration of a dataset of `files`: what is `stored` goes beside the user's own section `store`. Raises
+    `InputError` for a section of `settings` that an import does not take."""
     for key in settings:
         if key not in SETTINGS:
             raise InputError(f"settings: {key!r} is not for an import; there are {', '.join(SETTINGS)}")
+    layout = {
+        "kind": "imported", "files": [file.model_dump(mode="json") for file in files],
+        "options": (options or ImportOptions()).model_dump(mode="json"), "detector_is_known": detector_is_known,
+    }  # fmt: skip
+    whole = settings | named | {
+        "scenes": sum(file.frames or 1 for file in files),
+        "scene": {"layout": layout, "contents": []},
+        "capture": capture,
+        "store": {**settings.get("store", {}), **stored},
+    }  # fmt: skip
+    return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
+
+
+def dtype_of_counts(most: float) -> str | None:
+    """The narrowest dtype of histograms that holds counts up to `most`; None if none does."""
+    return next((dtype for dtype, limit in LARGEST_COUNTS.items() if most <= limit), None)
 
 
 def config_of_frames(
@@ -38,35 +60,20 @@ def config_of_frames(
     """
     if name is None:
         raise InputError(f"{paths[0]}: frames do not say what recorded them; name it: --device tmf8820")
-    check_settings(settings)
     sensor = device(name)
-    lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
     files, most = [], 0.0
     for path in paths:
         frames = read_frames(path)
-        counts = frames.histograms
-        if counts.shape[1:] != (lasers * pixels, sensor.time.bins):
-            raise InputError(
-                f"{path}: {counts.shape[1]} zones of {counts.shape[2]} bins, {sensor.name} has {lasers * pixels} of "
-                f"{sensor.time.bins}; name the device that recorded it"
-            )
-        if (counts % 1 != 0).any():
+        check_recorded_by(path, frames, sensor)
+        if (frames.histograms % 1 != 0).any():
             raise InputError(f"{path}: holds fractions, which are no counts; round them first")
-        most = max(most, float(counts.max()))
+        most = max(most, float(frames.histograms.max()))
         files.append(ImportedFile(name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames)))
-    dtype = next((dtype for dtype, limit in LARGEST_COUNTS.items() if most <= limit), None)
+    dtype = dtype_of_counts(most)
     if dtype is None:
         raise InputError(f"{paths[0]}: counts up to {most:g}, at most {LARGEST_COUNTS['uint32']} are stored")
-    layout = {
-        "kind": "imported", "files": [file.model_dump(mode="json") for file in files], "detector_is_known": True,
-    }  # fmt: skip
-    whole = settings | named | {
-        "scenes": sum(file.frames or 1 for file in files),
-        "scene": {"layout": layout, "contents": []},
-        "capture": {"device": json.loads(sensor.model_dump_json(exclude_defaults=True))},
-        "store": settings.get("store", {}) | {"fields": ["histogram"], "histogram_dtype": dtype},
-    }  # fmt: skip
-    return config_from_mapping(json.loads(json.dumps(whole, default=str)), source="import")
+    capture = {"device": json.loads(sensor.model_dump_json(exclude_defaults=True))}
+    return imported_config(files, capture, {"fields": ["histogram"], "histogram_dtype": dtype}, settings, named)
 
 
 def scene_of_files(files: Sequence[ImportedFile], index: int) -> tuple[int, int]:
@@ -92,7 +99,6 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     pose = np.eye(4) if frames.poses is None else frames.poses[frame]
     place, forward, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
     capture = sensor.capture_at(place, place + forward, up)
-    unknown = np.full((3, 3), np.nan)
     parameters: dict[str, Scalar] = {
         "capture.file": file.name,
         "capture.frame": frame,
@@ -103,14 +109,6 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     }
     if frames.distances_m is not None:
         parameters["capture.distance_m"] = float(frames.distances_m[frame])
-    arrays = {
-        "histogram": counts,
-        "laser_points": np.full_like(capture.laser.targets, np.nan),
-        "sensor_pixels": capture.sensor.pixels,
-        "laser_position": capture.laser.position,
-        "sensor_position": capture.sensor.position,
-        "relay_wall": unknown,
-        "hidden_view": unknown,
-        "hidden_bounds": unknown[:2],
-    }
-    return Sample(index, arrays, parameters, {"read": time.perf_counter() - began})
+    nowhere = np.full_like(capture.laser.targets, np.nan)
+    places = geometry_fields(nowhere, capture.sensor.pixels, capture.laser.position, capture.sensor.position)
+    return Sample(index, {"histogram": counts, **places}, parameters, {"read": time.perf_counter() - began})

@@ -16,6 +16,7 @@ from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.measurement import WallFrame, lattice
 from datagen.records.arrays import Floats
+from datagen.records.sample import geometry_fields
 
 UNKNOWN = np.full(3, np.nan)
 SMALLEST_WALL_M = 0.01
@@ -97,15 +98,11 @@ class Recording:
         low, high = both.min(axis=0), both.max(axis=0)
         halves = np.maximum((high - low) / 2, SMALLEST_WALL_M / 2)
         center = frame.origin + ((low + high) / 2) @ frame.axes[:2]
-        return {
-            "laser_points": self.laser_points,
-            "sensor_pixels": np.repeat(self.seen_points[:, None], 4, axis=1),
-            "laser_position": self.laser_position,
-            "sensor_position": self.sensor_position,
-            "relay_wall": np.stack([center, halves[0] * frame.axes[0], halves[1] * frame.axes[1]]),
-            "hidden_view": np.full((3, 3), np.nan),
-            "hidden_bounds": np.full((2, 3), np.nan) if self.hidden is None else self.hidden,
-        }
+        wall = np.stack([center, halves[0] * frame.axes[0], halves[1] * frame.axes[1]])
+        pixels = np.repeat(self.seen_points[:, None], 4, axis=1)
+        return geometry_fields(
+            self.laser_points, pixels, self.laser_position, self.sensor_position, wall, hidden_bounds=self.hidden
+        )
 
 
 def _rows(points: Floats) -> NDArray[np.int64]:

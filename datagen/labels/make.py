@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
@@ -38,17 +37,9 @@ LABEL_FIELDS = IMAGE_FIELDS + VOLUME_FIELDS + TABLE_FIELDS
 """All labels. `objects` stands for several arrays (`OBJECT_TABLES`), every other one for the array of its name."""
 
 
-@dataclass(frozen=True)
-class ObjectSlots:
-    """The form of the object tables: the names of the classes, and the number of rows."""
-
-    classes: tuple[str, ...]
-    capacity: int
-
-
 def make_labels(
-    config: LabelsConfig, scene: Scene, fields: Sequence[str], slots: ObjectSlots | None = None,
-    surface: HiddenSurface | None = None,
+    config: LabelsConfig, scene: Scene, fields: Sequence[str], classes: Sequence[str] | None = None,
+    capacity: int | None = None, surface: HiddenSurface | None = None,
 ) -> dict[str, Array]:  # fmt: skip
     """Field → array of one scene's ground truth, aligned with the relay wall.
 
@@ -66,8 +57,8 @@ def make_labels(
 
     Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
     relay wall as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects` gives
-    the tables of `ObjectBoxes`, in the same frame, for the classes and the number of rows of `slots` (left out: this
-    scene's own). `surface` is the surface that the images show, if it is known already.
+    the tables of `ObjectBoxes`, in the same frame, for these `classes` and `capacity` rows (left out: this scene's
+    own). `surface` is the surface that the images show, if it is known already.
 
     Raises
     ------
@@ -85,6 +76,7 @@ def make_labels(
         grid, surfaces = VoxelGrid.of(scene, config.voxels), object_surfaces(scene)
         labels |= {field: make(grid, surfaces) for field, make in _VOLUMES.items() if field in fields}
     if "objects" in fields:
-        slots = slots or ObjectSlots(classes_in(scene), len(scene.objects))
-        labels |= ObjectBoxes.of(scene, slots.classes, slots.capacity).tables()
+        classes = classes_in(scene) if classes is None else classes
+        capacity = len(scene.objects) if capacity is None else capacity
+        labels |= ObjectBoxes.of(scene, classes, capacity).tables()
     return labels

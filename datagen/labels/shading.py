@@ -9,7 +9,8 @@ the radiance
 
 F its form factor to the lamp (0 … 1) with V the visibility, so L lies in 0 … ρ. Every material counts as Lambertian
 with its albedo. Without occluders F is exactly Lambert's formula for a polygon (as in Baum, Rushmeier & Winget,
-SIGGRAPH 1989). A shadow removes the share of the lamp that is hidden, which is found with `LAMP_POINTS` rays a pixel.
+SIGGRAPH 1989). A shadow removes the share of the lamp that is hidden, found by a ray from each pixel to each of the
+lamp's `even_points`.
 """
 
 from __future__ import annotations
@@ -29,9 +30,6 @@ from scene_library.sightlines import even_points, occlusion_test
 
 AMBIENT_RADIANCE = 0.15
 """Radiance, in units of the lamp's, of directions without the lamp. Halved, shadows are half as bright."""
-LAMP_POINTS = 64
-"""Points of the lamp (those of `even_points`) to which each pixel sends a ray. Halved, edges of shadows have half as
-many steps."""
 _PIXELS_AT_ONCE = 1 << 10
 """Pixels whose rays are traced in one call: 65 536 rays, 6 MB. Halved, half of that."""
 _LIFT = 1e-5

@@ -54,7 +54,7 @@ def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
         return []
     triangles, count = _merged(corners)
     links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
-    label = _connected(links, count)[1][triangles[:, 0]]
+    label = connected_sets(links, count)[1][triangles[:, 0]]
     order = np.argsort(label, kind="stable")
     cuts = np.flatnonzero(np.diff(label[order])) + 1
     return [_surface(corners[faces], triangles[faces]) for faces in np.split(order, cuts)]
@@ -73,7 +73,7 @@ def _is_flat(corners: Floats) -> bool:
     return bool(widths[2] <= 1e-6 * widths[0])
 
 
-def _connected(links: Ints, count: int) -> tuple[int, Ints]:
+def connected_sets(links: Ints, count: int) -> tuple[int, Ints]:
     """Number of connected sets into which `links` (n, 2) join `count` vertices, and (count,) each vertex's set."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -113,7 +113,7 @@ def _fans(edges: Ints, ends: Floats) -> Floats:
     """(E, 3, 3) a triangle for each edge (E, 2) of a rim, from its `ends` (E, 2, 3) to the centroid of the rim."""
     _, nodes = np.unique(edges, return_inverse=True)
     nodes = nodes.reshape(-1, 2)
-    rims, label = _connected(nodes, int(nodes.max()) + 1)
+    rims, label = connected_sets(nodes, int(nodes.max()) + 1)
     label = label[nodes[:, 0]]
     total = np.zeros((rims, 3))
     np.add.at(total, label, ends.mean(axis=1))

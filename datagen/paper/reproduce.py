@@ -97,7 +97,7 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
         yield f'<h2>Fig. {number}</h2><p><img alt="Fig. {number}, computed again" src="figure_{number}.png"></p>'
     yield "<h2>Peaks, levels and seconds</h2>"
     parts = list(runs.converged.curves.parts)
-    head_row = ["", *(f"peak of {escape(name)}, ns" for name in parts), "secondary / primary", "s (processor)"]
+    head_row = ["", *(f"peak of {name}, ns" for name in parts), "secondary / primary", "s (processor)"]
     blank = "", ""
     rows = [["published, Fig. 7", *(f"{PEAKS_NS[name]:g}" if name in PEAKS_NS else "" for name in parts), *blank]]
     for (estimator, rays, scheme), case in runs.cases.items():
@@ -105,7 +105,7 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
         peaks = [f"{peak_ns(case.curves.parts[name], case.curves.time_ns):.1f}" for name in parts]
         level = case.level["secondary"] / case.level["primary"] if case.level["primary"] > 0 else float("nan")
         published = PUBLISHED_SECONDS.get((rays, scheme), "") if pixels == 60 and estimator == "as printed" else ""
-        took = f"{case.seconds:.2f} ({case.processor_s:.2f})" + f"; published: {escape(published)}" * bool(published)
+        took = f"{case.seconds:.2f} ({case.processor_s:.2f})" + f"; published: {published}" * bool(published)
         rows.append([f"{estimator}, {counts}", *peaks, f"{level:.3g}", took])
     yield table(head_row, rows)
     yield "</body></html>"

@@ -195,3 +195,22 @@ class Sample:
                 kind = type(value).__name__
                 raise InputError(f"parameter {name}: {kind} made, must be a number, a text, true or false")
         check_mapping("Sample.seconds", self.seconds, *_NUMBERS, remedy="stage → seconds")
+
+
+def geometry_fields(
+    laser_points: Floats, sensor_pixels: Floats, laser_position: Floats, sensor_position: Floats,
+    relay_wall: Floats | None = None, hidden_view: Floats | None = None, hidden_bounds: Floats | None = None,
+) -> dict[str, Floats]:  # fmt: skip
+    """The arrays of a sample that say where laser, sensor, relay wall and hidden part are; NaN where that is unknown.
+
+    relay_wall, hidden_view : (3, 3) rows center, right, up. hidden_bounds : (2, 3) corners.
+    """
+    return {
+        "laser_points": laser_points,
+        "sensor_pixels": sensor_pixels,
+        "laser_position": laser_position,
+        "sensor_position": sensor_position,
+        "relay_wall": np.full((3, 3), np.nan) if relay_wall is None else relay_wall,
+        "hidden_view": np.full((3, 3), np.nan) if hidden_view is None else hidden_view,
+        "hidden_bounds": np.full((2, 3), np.nan) if hidden_bounds is None else hidden_bounds,
+    }

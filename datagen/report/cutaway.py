@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.labels.raster import first_hits, hidden_pixels
+from datagen.labels.solids import connected_sets
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 
@@ -100,9 +101,6 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
 def flat_groups(scene: Scene, faces: Ints) -> tuple[Ints, list[Floats]]:
     """Groups of triangles that touch in one plane: the group number of each face, and the border (E, 2, 3) of each
     group."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     normal = normals_of(scene)[faces]
     leading = np.take_along_axis(normal, abs(normal).argmax(axis=1)[:, None], axis=1)
     normal = normal * np.where(leading < 0, -1.0, 1.0)
@@ -114,9 +112,8 @@ def flat_groups(scene: Scene, faces: Ints) -> tuple[Ints, list[Floats]]:
     # Faces and the corners of each plane are the nodes of a graph; faces that share a corner are connected.
     corner = _numbered(np.column_stack([np.repeat(plane, 3), place.ravel()]))
     count = len(faces) + int(corner.max()) + 1
-    owner = np.repeat(np.arange(len(faces)), 3)
-    graph = coo_array((np.ones(len(corner), np.int8), (owner, corner + len(faces))), shape=(count, count))
-    group = _numbered(connected_components(graph, directed=False)[1][: len(faces), None])
+    links = np.column_stack([np.repeat(np.arange(len(faces)), 3), corner + len(faces)])
+    group = _numbered(connected_sets(links, count)[1][: len(faces), None])
     border = []
     for g in range(int(group.max()) + 1):
         members = group == g

@@ -96,7 +96,7 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     if figure is not None:
         yield inside(figure, "histograms of the drawn parameters")
     drawn = [row for row in ranges(table_of(records, ())) if not row[0].endswith("seed")]
-    yield _table(("parameter", "least", "median", "most"), drawn)
+    yield table(("parameter", "least", "median", "most"), drawn)
     yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
     yield "<h2>Fields</h2>"
     shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
@@ -104,7 +104,7 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
         (f.name, ", ".join(f.dims), shape, f.dtype, f.unit, f.meaning)
         for f, shape in zip(manifest.schema.fields, shapes, strict=True)
     ]
-    yield _table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
+    yield table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"
     yield f"<pre>{escape(config.model_dump_json(indent=2))}</pre></details></body></html>"
 
@@ -112,7 +112,3 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
 def _error(record: SceneRecord) -> float | None:
     error = record.parameters.get("transient.relative_error")
     return float(error) if isinstance(error, int | float) else None
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return table(header, [[escape(cell) for cell in row] for row in rows])

@@ -75,7 +75,7 @@ def clear_partials(folder: Path) -> None:
     stay."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
-            handle = os.open(partial, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+            handle = os.open(partial, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
                 if locked(handle, otherwise=False):
                     partial.unlink()
@@ -96,13 +96,7 @@ def write_if_changed(path: Path, content: bytes) -> None:
 
 def holds(path: Location, content: bytes) -> bool:
     """Whether a file exists and has exactly this content. A file of another size is not read."""
-    try:
-        with sized_chunks(path) as (size, chunks):
-            return size == len(content) and b"".join(chunks) == content
-    except OSError as error:
-        if _is_missing(error):
-            return False
-        raise
+    return difference(path, hashlib.sha256(content).hexdigest(), len(content)) is None
 
 
 def json_bytes(value: Any) -> bytes:
@@ -223,16 +217,12 @@ def difference(path: Location, sha256: str | None, due_bytes: int | None = None)
                 is_read = size == due_bytes if due_bytes is not None else size <= JSON_BYTES
                 same = is_read and _sha256(chunks) == sha256
     except OSError as error:
-        if _is_missing(error):
+        if error.errno in _NOTHING + _NOT_PLAIN:
             return "missing"
         raise
     if due_bytes is not None and size != due_bytes:
         return f"{size} bytes, {due_bytes} were written"
     return None if same else "its bytes have changed since they were written (SHA-256 differs)"
-
-
-def _is_missing(error: OSError) -> bool:
-    return error.errno in _NOTHING + _NOT_PLAIN
 
 
 def check_writable(path: Path) -> None:

@@ -94,12 +94,13 @@ class Bucket:
         """Upload a file. A large file is sent in parts, and the object appears when all parts are there."""
         self._request("put", str(self.key), file)
 
-    def unlink(self) -> None:
-        """Remove the object if it exists."""
+    def unlink(self, missing_ok: bool = False) -> None:
+        """Remove the object; raises `FileNotFoundError` if it is missing and that is not allowed."""
         try:
             self._request("delete", str(self.key))
         except FileNotFoundError:
-            return
+            if not missing_ok:
+                raise
 
     def _below(self) -> Iterator[PurePosixPath]:
         for batch in self._guarded(self._request("list", f"{self.key}/")):
@@ -166,7 +167,7 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
     file), and `CheckError` if this process has too many files open."""
     try:
         # Without O_NONBLOCK opening a pipe would wait for a writer.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
@@ -216,8 +217,7 @@ def _after_fork() -> None:
     _forked = _forked or _store_of.cache_info().currsize > 0
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork)
+os.register_at_fork(after_in_child=_after_fork)
 
 
 @cache

@@ -14,6 +14,7 @@ import pydantic
 
 from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, time_axes
 from datagen.config.capture import TimeConfig
+from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
 from datagen.config.scene_contents import Mesh
 from datagen.config.scene_layouts import ImportedCaptures
@@ -28,7 +29,6 @@ from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
     COORDINATES_SINCE,
-    MOST_SCENES,
     SCHEMA_VERSION,
     SCHEMA_VERSIONS,
     Field,

@@ -13,6 +13,7 @@ from datagen.errors import InputError
 from datagen.store.arrays import GROUP, coordinates, metadata_files
 from datagen.store.environment import environment
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
+from datagen.store.location import Location
 from datagen.store.manifest import (
     MANIFEST,
     DamagedManifest,
@@ -90,7 +91,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     return manifest
 
 
-def forget_complete(root: Path) -> None:
+def forget_complete(root: Location) -> None:
     """Remove the files that say that all shards are there, before a shard is made again."""
     for name in WHEN_COMPLETE:
         (root / name).unlink(missing_ok=True)

@@ -13,7 +13,7 @@ from datagen.errors import InputError
 from datagen.records import Scalar, TimeAxis
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
-from datagen.store.record import read_record
+from datagen.store.record import read_record, scenes_made
 from datagen.store.verify import committed
 
 
@@ -46,8 +46,7 @@ class Scenes:
 
     def made(self) -> list[int]:
         """The indices of the scenes of committed shards that could be made, ascending."""
-        records = committed(self.root, self.manifest)
-        return sorted(scene.index for record in records for scene in record.scenes if scene.failure is None)
+        return sorted(scene.index for scene in scenes_made(committed(self.root, self.manifest)))
 
     def read(self, index: int, called: str = "scene") -> SceneContent:
         """The scene of an index. Raises `InputError`, which calls the index `called`, if the scene is not there or

@@ -60,7 +60,6 @@ LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
 LARGEST_SCENE_BYTES = 2**34
 """Largest raw size of one field of a scene: a worker's memory could not hold more."""
-MOST_SCENES = 100_000_000
 
 _MEASURED = ("scene", "laser", "pixel", "bin")
 _LIGHT = ("scene", "laser", "pixel", "transient_bin")
@@ -147,17 +146,9 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     scenes_per_shard : that of an existing dataset, which keeps it.
 
-    Raises `InputError` for too many scenes, and if one time series is larger than a chunk can be.
+    Raises `InputError` if one time series is larger than a chunk can be.
     """
-    if config.scenes > MOST_SCENES:
-        raise InputError(f"scenes = {config.scenes}: must be ≤ {MOST_SCENES}")
-    fields = (
-        _large_fields(config)
-        + _object_tables(config)
-        + _presence(config)
-        + _zone_depth(config)
-        + _small_fields(config)
-    )
+    fields = _large_fields(config) + _label_tables(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
@@ -231,15 +222,14 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
     return tuple(field for field in known if field.name in config.store.fields)
 
 
-def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
-    """The tables of the label `objects`, with enough rows for every scene that the configuration can give."""
-    if "objects" not in config.store.fields:
-        return ()
+def _label_tables(config: DatasetConfig) -> tuple[Field, ...]:
+    """The small labels that the configuration stores: tables of objects, with enough rows for every scene that it can
+    give, and depth by zone."""
     classes, rows = config.scene.object_classes(), config.scene.most_objects()
-    if len(classes) > np.iinfo(np.int16).max:
+    if "objects" in config.store.fields and len(classes) > np.iinfo(np.int16).max:
         raise InputError(f"store.fields: 'objects' can number 32767 classes, scene.contents has {len(classes)}")
     row, frame = ("scene", "object"), "of the label frame (right, up, depth from the middle of hidden_view)"
-    return (
+    objects = (
         Field("object_count", ("scene",), (), "int32", "1", "number of objects; rows beyond it are fill", False),
         Field("object_class", row, (rows,), "int16", "1", "class of the object, an index into this field's list of "
               "classes; -1: no object in this row", False, classes),
@@ -260,29 +250,18 @@ def _object_tables(config: DatasetConfig) -> tuple[Field, ...]:
               "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
               "matched filter; 0: no object", False),
     )  # fmt: skip
-
-
-def _presence(config: DatasetConfig) -> tuple[Field, ...]:
-    """The field of the label `presence`, if the configuration stores it."""
-    if "presence" not in config.store.fields:
-        return ()
-    meaning = (
+    presence = Field(
+        "object_presence", row, (rows,), "float32", "1",
         "sqrt(sum s^2 / m) over all bins, s what the object adds to the expected detections, m those with or without "
-        "it, whichever are more: standard deviations of an ideal matched filter; 0: no object"
-    )
-    rows = config.scene.most_objects()
-    return (Field("object_presence", ("scene", "object"), (rows,), "float32", "1", meaning, sharded=False),)
-
-
-def _zone_depth(config: DatasetConfig) -> tuple[Field, ...]:
-    """The field of the label `zone_depth`, if the configuration stores it."""
-    if "zone_depth" not in config.store.fields:
-        return ()
-    meaning = (
+        "it, whichever are more: standard deviations of an ideal matched filter; 0: no object", False,
+    )  # fmt: skip
+    zone_depth = Field(
+        "zone_depth", ("scene", "sensor_pixel"), (_all_pixels(config),), "float32", "m",
         "depth of what each zone (or pixel) sees first, from the sensor along the zone's axis: mean over its "
-        "footprint, weighted by its sensitivity; NaN where it sees nothing"
-    )
-    return (Field("zone_depth", ("scene", "sensor_pixel"), (_all_pixels(config),), "float32", "m", meaning, False),)
+        "footprint, weighted by its sensitivity; NaN where it sees nothing", False,
+    )  # fmt: skip
+    known = {"objects": objects, "presence": (presence,), "zone_depth": (zone_depth,)}
+    return tuple(field for label, fields in known.items() if label in config.store.fields for field in fields)
 
 
 def _all_pixels(config: DatasetConfig) -> int:

@@ -15,10 +15,10 @@ from pathlib import Path
 
 from datagen.errors import InputError
 from datagen.store.card import CARD
-from datagen.store.files import read_whole, write_atomically
+from datagen.store.files import holds, read_whole, write_atomically
 from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
-from datagen.store.prepare import WHEN_COMPLETE, is_fresh
+from datagen.store.prepare import WHEN_COMPLETE, forget_complete, is_fresh
 from datagen.store.record import ShardRecord, record_path, recorded_shards, sound_records
 
 
@@ -86,9 +86,9 @@ class Output:
         """Upload the manifest and the metadata of the arrays, if they are not there."""
         if self.bucket is None:
             return
-        if not _holds(self.bucket / MANIFEST, self.folder / MANIFEST):
+        if not holds(self.bucket / MANIFEST, (self.folder / MANIFEST).read_bytes()):
             # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
-            self._forget_complete(self.bucket)
+            forget_complete(self.bucket)
         for name in (MANIFEST, *manifest.metadata):
             self._put(self.bucket, name)
 
@@ -97,10 +97,10 @@ class Output:
         if self.bucket is None:
             return
         kept, there = record_path(self.folder, record.shard), record_path(self.bucket, record.shard)
-        if _holds(there, kept) and record.problem(self.bucket) is None:
+        if holds(there, kept.read_bytes()) and record.problem(self.bucket) is None:
             return
-        self._forget_complete(self.bucket)
-        there.unlink()
+        forget_complete(self.bucket)
+        there.unlink(missing_ok=True)
         for name in record.files:
             (self.bucket / name).put(self.folder / name)
         there.put(kept)
@@ -116,17 +116,5 @@ class Output:
             self._put(self.bucket, name)
 
     def _put(self, bucket: Bucket, name: str) -> None:
-        if not _holds(bucket / name, self.folder / name):
+        if not holds(bucket / name, (self.folder / name).read_bytes()):
             (bucket / name).put(self.folder / name)
-
-    @staticmethod
-    def _forget_complete(bucket: Bucket) -> None:
-        for name in WHEN_COMPLETE:
-            (bucket / name).unlink()
-
-
-def _holds(there: Bucket, kept: Path) -> bool:
-    try:
-        return there.read_bytes() == kept.read_bytes()
-    except FileNotFoundError:
-        return False

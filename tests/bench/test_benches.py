@@ -70,9 +70,9 @@ def test_promise(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]
     held = tmp_path / "held.yaml"
     held.write_text(CONFIG.replace("{lookins: 256, fov_samples: 1}", "{target: 0.1}"))
     arguments = ["promise", str(tmp_path), str(held), config, "--scenes", "1", "--points", "4", "--target", "0.1"]
-    rows = rows_of(printed_by(arguments, capsys), "target")
-    assert rows[0][1:3] == ["whole", "1"], "a configuration of fixed counts promises nothing"
-    assert rows == rows_of(printed_by(arguments, capsys), "target"), "kept, not measured again"
+    rows = rows_of(printed_by(arguments, capsys), "of")
+    assert rows[0][:3] == ["whole", "0.1", "1"], "a configuration of fixed counts promises nothing"
+    assert rows == rows_of(printed_by(arguments, capsys), "of"), "kept, not measured again"
 
 
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from datagen.bench import foreign_promise
-from datagen.bench.foreign_promise import WHOLE, checks_of_foreign, line_of, off_square, report_foreign
+from datagen.bench import promise
 from datagen.bench.foreign_scenes import foreign_scene, mesh_files
+from datagen.bench.promise import WHOLE, case_of, checks_of, foreign_case, line_of, off_square
 from datagen.cli import run as run_command
+from datagen.config import load_config
 from datagen.errors import InputError
 from datagen.records import Capture, Scene, Transient
 
-MESHES = Path(__file__).parents[3] / "shared" / "meshes"
+ROOT = Path(__file__).parents[2]
+MESHES = ROOT.parent / "shared" / "meshes"
 SIMPLE = 3
 """A scene of a few histograms for which 2¹⁶ samples are accurate enough."""
 
@@ -72,7 +74,7 @@ def test_the_square_of_an_error_has_no_bias() -> None:
 @pytest.fixture(scope="module")
 def few_samples() -> Iterator[None]:
     """Few samples of the truth, each run of it drawn once for all tests."""
-    drawn, kept = foreign_promise.reference, dict[tuple[Any, ...], Transient]()
+    drawn, kept = promise.reference, dict[tuple[Any, ...], Transient]()
 
     def once(scene: Scene, capture: Capture, **how: Any) -> Transient:
         key = scene.vertices.tobytes(), how["samples"], how["seed"]
@@ -82,15 +84,15 @@ def few_samples() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         for name, small in (("FIRST_SAMPLES", 1 << 17), ("MOST_SAMPLES", 1 << 20), ("reference", once)):
-            patch.setattr(foreign_promise, name, small)
+            patch.setattr(promise, name, small)
         yield
 
 
 @pytest.mark.usefixtures("few_samples")
 def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some of the light missing, or all of it a bin late, under a claim of 5 %; as it is, it is within."""
-    plainly = foreign_promise._simulated
-    (right,) = [one for one in checks_of_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+    plainly, case = promise._simulated, foreign_case(SIMPLE)
+    (right,) = [one for one in checks_of(case, [0.05]) if one.what == WHOLE]
     assert right.decided and right.within and right.promised and not right.overclaimed
     assert right.energy == pytest.approx(1, abs=0.02)
 
@@ -101,15 +103,23 @@ def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None
         return replace(run, components={name: np.roll(light, 1, axis=2) for name, light in run.components.items()})
 
     for spoil in (dim, late):
-        monkeypatch.setattr(
-            foreign_promise,
-            "_simulated",
-            lambda *of, spoil=spoil: spoil(plainly(*of)) if of[1].target else plainly(*of),
-        )
-        (wrong,) = [one for one in checks_of_foreign(SIMPLE, [0.05]) if one.what == WHOLE]
+        monkeypatch.setattr(promise, "_simulated", lambda light, spoil=spoil: spoil(plainly(light)))
+        (wrong,) = [one for one in checks_of(case, [0.05], f"--first {SIMPLE}") if one.what == WHOLE]
         assert wrong.promised and wrong.decided and not wrong.within
         assert f"--first {SIMPLE} --target 0.05" in line_of(wrong)
     assert wrong.overclaimed
+
+
+def test_few_points_of_a_configuration_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error of the whole at 4 of 16 points is that at all of them to a factor of two, and so is the light."""
+    for name, small in (("FIRST_SAMPLES", 1 << 18), ("MOST_SAMPLES", 1 << 18)):
+        monkeypatch.setattr(promise, name, small)
+    config = load_config(ROOT / "configs" / "quickstart.yaml")
+    case = case_of(config, 0, points=16)
+    few, every = (checks_of(replace(case, held=held), [0.1])[0] for held in (4, None))
+    assert few.what == every.what == WHOLE and few.claimed == every.claimed
+    assert 0.5 < few.error / every.error < 2
+    assert few.energy == pytest.approx(1, abs=0.1) and every.energy == pytest.approx(1, abs=0.1)
 
 
 @pytest.mark.usefixtures("few_samples")
@@ -121,8 +131,8 @@ def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         printed.append(capsys.readouterr().out)
     assert printed[0] == printed[1] and "1 foreign scenes" in printed[0], "kept, not measured again"
     assert (tmp_path / "foreign.md").read_text().startswith("1 foreign scenes")
-    report_foreign(tmp_path, range(SIMPLE, SIMPLE + 2), [0.1], None)
-    assert "2 foreign scenes" in capsys.readouterr().out
+    arguments[arguments.index("1")] = "2"
+    assert run_command(arguments) == 0 and "2 foreign scenes" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("wrong", [["--foreign", "0"], ["--foreign", "1", "a.yaml"], ["--meshes", "x"], []])
@@ -157,5 +167,5 @@ def test_scenes_that_once_broke_their_claims_keep_them(index: int, target: float
     2.2 and 2.9 %)."""
     if not (MESHES / "stanford-bunny.obj").is_file():
         pytest.skip("real meshes are not part of the repository; put them into shared/meshes beside the checkout")
-    checks = checks_of_foreign(index, [target], MESHES)
+    checks = checks_of(foreign_case(index, MESHES), [target])
     assert not [line_of(one) for one in checks if one.overclaimed]

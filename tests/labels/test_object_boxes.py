@@ -15,7 +15,7 @@ import datagen as dg
 from datagen.config import LabelsConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.evidence.own import OBJECT_EVIDENCE
-from datagen.labels import OBJECT_TABLES, ObjectBoxes, ObjectSlots, ViewFrame, make_labels
+from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame, make_labels
 from datagen.records import Lambertian, Part, Pose, Scene
 from datagen.store import read_manifest, verify
 from scene_library.objects.classes import GROUPS
@@ -23,8 +23,8 @@ from scene_library.objects.classes import GROUPS
 CONFIG = LabelsConfig(rows=40, columns=60)
 
 
-def boxes_of(scene: Scene, slots: ObjectSlots | None = None) -> ObjectBoxes:
-    return ObjectBoxes.from_tables(make_labels(CONFIG, scene, ("objects",), slots))
+def boxes_of(scene: Scene, classes: tuple[str, ...] | None = None, capacity: int | None = None) -> ObjectBoxes:
+    return ObjectBoxes.from_tables(make_labels(CONFIG, scene, ("objects",), classes, capacity))
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 30.0, 200.0])
@@ -92,7 +92,7 @@ def test_generated_objects_have_their_class_and_pose() -> None:
     seen = set()
     for index in range(12):
         scene = dg.generate_scene(config.scene, 3, index)
-        boxes = boxes_of(scene, ObjectSlots(classes, 3))
+        boxes = boxes_of(scene, classes, 3)
         names = [name for name, role in zip(scene.part_names, scene.roles, strict=True) if role == "object"]
         seen.add(boxes.count)
         assert [scene.part_names[k] for k in boxes.part[: boxes.count]] == names
@@ -122,7 +122,7 @@ def test_stored_verified_loaded(tmp_path: Path) -> None:
     assert "chair" in (tmp_path / "set" / "README.md").read_text()
     for item in range(len(data)):
         scene = dg.generate_scene(config.scene, 3, item)
-        made = make_labels(config.labels, scene, ("objects",), ObjectSlots(data.classes, 3))
+        made = make_labels(config.labels, scene, ("objects",), data.classes, 3)
         for name, values in made.items():
             assert torch.equal(data[item][name], torch.from_numpy(np.asarray(values)))
     batch = torch.utils.data.default_collate([data[i] for i in range(3)])
@@ -132,7 +132,7 @@ def test_stored_verified_loaded(tmp_path: Path) -> None:
 
 def test_rows_for_a_configuration_without_objects() -> None:
     scene = dg.generate_scene(config_from_mapping({"scene": {"contents": []}}).scene, 0, 0)
-    boxes = boxes_of(scene, ObjectSlots((), 1))
+    boxes = boxes_of(scene, (), 1)
     assert boxes.count == 0 and boxes.label.tolist() == [-1]
     assert boxes.corners().shape == (0, 8, 3)
 
@@ -140,8 +140,8 @@ def test_rows_for_a_configuration_without_objects() -> None:
 def test_objects_that_do_not_fit_are_refused() -> None:
     scene = l_corridor()
     with pytest.raises(InputError, match="2 objects in a scene, the table has room for 1"):
-        boxes_of(scene, ObjectSlots(("pillar", "box"), 1))
+        boxes_of(scene, ("pillar", "box"), 1)
     with pytest.raises(InputError, match="class 'box' is none of pillar"):
-        boxes_of(scene, ObjectSlots(("pillar",), 2))
+        boxes_of(scene, ("pillar",), 2)
     with pytest.raises(InputError, match="orthogonal unit vectors"):
         Pose("box", np.array([[1.0, 0, 0], [1, 1, 0], [0, 0, 1]]))

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from datagen import Accuracy, simulate
-from datagen.bench.foreign_promise import WHOLE, Truth, lights, off_square
 from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
+from datagen.bench.promise import WHOLE, Truth, lights, off_square
+from datagen.design.light import Light
 from datagen.records.arrays import Floats
 
 SAMPLES = 1 << 19
@@ -21,9 +22,10 @@ def off(ours: Floats, truth: Floats) -> float:
 
 
 def truth_of(foreign: ForeignScene, what: str, samples: int = SAMPLES) -> Floats:
-    truth = Truth(foreign, seed=1)
+    accuracy = Accuracy(max_bounces=foreign.max_bounces)
+    truth = Truth(Light(foreign.scene, foreign.capture, accuracy, 0), seed=1)
     truth.add(samples // truth.pairs)
-    return truth.light[what]
+    return truth.light[what].reshape(len(truth.light[what]), -1)
 
 
 @pytest.mark.parametrize(

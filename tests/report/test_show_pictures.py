@@ -12,7 +12,7 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.figure import Figure
 
 from datagen.config import config_from_mapping
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectSlots, make_labels
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis, Transient
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.show import PAGES, pages
@@ -183,9 +183,8 @@ def test_stored_boxes_are_drawn_on_plan_and_labels(
 ) -> None:
     scene, (stored, again) = l_corridor(), usual
     config = config_from_mapping({"scene": {"contents": [{"kind": "pillar"}, {"kind": "box"}]}})
-    slots = ObjectSlots(config.scene.object_classes(), 3)
-    tables = make_labels(config.labels, scene, ("objects", "shaded"), slots)
     classes = config.scene.object_classes()
+    tables = make_labels(config.labels, scene, ("objects", "shaded"), classes, 3)
     stored = replace(stored, config=config, classes=classes, arrays={**stored.arrays, **tables})
     figures = drawn(stored, again, ["overview", "labels"], laid_out=False)
     assert "the objects' boxes as stored" in words(figures["overview"])
