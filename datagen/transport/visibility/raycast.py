@@ -145,8 +145,8 @@ def _refine(
         f = face[i]
         # Zeros rather than what happens to be in memory, so that results repeat.
         if f < 0:
-            position[i] = 0.0
-            normal[i] = 0.0
+            for k in range(3):
+                position[i, k] = normal[i, k] = 0.0
             continue
         approach = 0.0
         height = 0.0
