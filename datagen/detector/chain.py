@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.detector.dead_time import Equilibrium, Pieces, fires_early
 from datagen.detector.random_numbers import Stream, binomial, exponential
 
@@ -145,7 +145,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
     return counts
 
 
-@compiled()
+@subroutine()
 def _return_windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
     """(n,) probability q that an armed cycle fires in a piece; (n,) probability that a cycle which fired in it fires
     again while it returns, in pieces `first … after − 1`; (n,) `first` and (n,) `after`.
@@ -172,7 +172,7 @@ def _return_windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Fl
     return fires, soon, first, after
 
 
-@compiled()
+@subroutine()
 def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edges: Flux, out: Flux) -> int:
     """Number of pieces, from `first` on, that overlap `start … stop`; `out` gets for each of them the probability
     that a cycle which returns at a uniform moment of `start … stop` fires there first.

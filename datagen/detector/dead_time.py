@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.errors import InputError
 
 Array = NDArray[np.float64]
@@ -143,7 +143,7 @@ def synchronous_mean(
     return out.reshape(flux.shape)
 
 
-@compiled()
+@subroutine()
 def fires_early(x: float, low: float, high: float) -> float:
     """Probability that a diode fires in the piece of flux x within which it is armed again.
 
@@ -159,7 +159,7 @@ def fires_early(x: float, low: float, high: float) -> float:
     return float(1.0 - np.exp(-x * middle) * mean)
 
 
-@compiled()
+@subroutine()
 def _return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
     """Number of pieces, from `first` on, at whose start a return that is uniform in `start … stop` counts as armed;
     their weights are put into `weights`.
@@ -255,7 +255,7 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
     return detections, armed
 
 
-@compiled()
+@subroutine()
 def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
     """Seconds of edge number `index`, which may run past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)

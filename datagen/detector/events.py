@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.detector.dead_time import Equilibrium
 from datagen.detector.flux import Cycle
 from datagen.detector.random_numbers import Stream, exponential, uniform
@@ -185,7 +185,7 @@ def _run(
         waiting = 1
 
 
-@compiled()
+@subroutine()
 def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, stream: Stream) -> int:
     """Number of pixels on `stack`, of which `waiting` are there already, once the neighbours that an avalanche of
     pixel `p` sets off are added."""
@@ -202,7 +202,7 @@ def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting
     return waiting
 
 
-@compiled()
+@subroutine()
 def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
     """Fill in `cumulative` (n + 1,), the flux Λ before each bin, and `guide` (n,), the bins in which Λ reaches the
     shares 0, 1/n, 2/n, … of the whole: there the search for a value of Λ starts."""
@@ -216,7 +216,7 @@ def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
         guide[k] = j
 
 
-@compiled()
+@subroutine()
 def _bin_of(edges: Array, phase: float) -> int:
     """Number of the bin in which a phase lies, by bisection."""
     low, high = 0, len(edges) - 1
@@ -229,7 +229,7 @@ def _bin_of(edges: Array, phase: float) -> int:
     return low
 
 
-@compiled()
+@subroutine()
 def _next_photon(
     cumulative: Array, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
 ) -> tuple[int, float, int]:
@@ -269,7 +269,7 @@ def _next_photon(
     return cycle, at, j
 
 
-@compiled()
+@subroutine()
 def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
     """(cycle, phase) at which a diode is armed again whose dead time ends at `phase`, perhaps beyond the period, of
     `cycle`: a synchronous one at the start of the next cycle at the latest."""
@@ -281,7 +281,7 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
     return cycle, phase
 
 
-@compiled()
+@subroutine()
 def _release(
     next_cycle: int, next_phase: float, j: int, cycle: int, phase: float, e: float, left: float, time: float,
     period: _Period, stream: Stream,

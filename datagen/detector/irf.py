@@ -11,7 +11,7 @@ import scipy.fft
 import scipy.special
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.detector.spad import Pulse
 from datagen.errors import InputError
 
@@ -148,7 +148,7 @@ def _convolved(values: Array, weights: Array) -> Array:
     return out
 
 
-@compiled()
+@subroutine()
 def padded(weights: Array) -> Array:
     """(k + 6,) the weights (k,) with three zeros on either side, as `add_response` needs them."""
     # Here and elsewhere arrays are copied in loops: for an assignment of a slice numba compiles a check of the
@@ -159,7 +159,7 @@ def padded(weights: Array) -> Array:
     return w
 
 
-@compiled()
+@subroutine()
 def add_response(row: Array, beside: Array, out: Array) -> None:
     """Add the responses to a row of n bins to `out` of n + k − 1 bins; `beside` holds the k taps (`padded`).
 

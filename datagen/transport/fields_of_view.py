@@ -215,11 +215,11 @@ def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
 
     uv : (P, Q, 2) coordinates of the points. corner : (P, 4, 3) corners of the pixels, relative to the sensor.
     """
-    direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty(uv.shape[:2])
+    direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty((uv.shape[0], uv.shape[1]))
     w, along_u, along_v = np.empty(3), np.empty(3), np.empty(3)
     for p in range(len(uv)):
         for q in range(uv.shape[1]):
-            u, v = uv[p, q]
+            u, v = uv[p, q, 0], uv[p, q, 1]
             square = 0.0
             # The point w(u, v) between the four corners, and its derivatives along u and v.
             for k in range(3):

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot
 from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, subtract
@@ -211,7 +211,7 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
             return
 
 
-@compiled(_nrt=False, no_cpython_wrapper=True)
+@subroutine(_nrt=False)
 def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):  # type: ignore[no-untyped-def]
     """Number of elements and shadow rays that it took to add the light of part k to the histogram of one pair.
 
@@ -313,7 +313,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):
     return cells + rays
 
 
-@compiled()
+@subroutine()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
     """Index (0–3) of the quarter that stands for all four: digit log₄(share) of `turn` in base 4, the last digit
     first.
@@ -572,7 +572,7 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
     return seen, rays
 
 
-@compiled()
+@subroutine()
 def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
     """Random word of the place y, a vector from the laser point, metres. It depends neither on where the scene lies
     nor on the order of its triangles."""
@@ -583,7 +583,7 @@ def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
     return word
 
 
-@compiled()
+@subroutine()
 def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the footprint at z sees it."""
     first, middle, last = candidates

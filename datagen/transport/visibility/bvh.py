@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
@@ -106,21 +106,34 @@ def _boxes(corners: Floats, face_part: NDArray[np.integer], parts: int) -> tuple
     return *joined, roots  # type: ignore[return-value]
 
 
-@compiled()
-def boxes_over(low, high):  # type: ignore[no-untyped-def]
+def boxes_over(low: Floats, high: Floats) -> tuple[Ints, Floats, Ints, Ints]:
     """(F,) order of the triangles, those of one box next to each other; and the fields `box`, `children` and `span`
     of `Hierarchy`. The first box holds all triangles.
 
     low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres.
+    """
+    # Each numpy function that a kernel calls is compiled with it, again for each list of types: those that make and
+    # join arrays stay here.
+    order, most = np.arange(len(low)), max(2 * len(low), 1)
+    box, link = np.empty((most, 6)), np.zeros((most, 4), np.int64)
+    boxes = _divide(low, high, order, box, link)
+    box, first_half, span = box[:boxes], link[:boxes, 0], link[:boxes, 1:3]
+    return order, box, np.column_stack((first_half, np.where(first_half < 0, -1, first_half + 1))), span
+
+
+@compiled()
+def _divide(low, high, order, box, link):  # type: ignore[no-untyped-def]
+    """Number of boxes; the arguments that follow are set.
+
+    low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres. order : (F,) their order, set
+    from 0 … F − 1. box : (2 F, 6) corners of the boxes. link : (2 F, 4) zeros; index of a box's lower half, or −1, the
+    range of its triangles in `order`, and how deep it lies.
 
     A box is divided where the sum, over both halves, of the number of triangles times the area of their box is least:
     that area is proportional to the probability that a line meets the half.
     """
-    count = len(low)
-    most = max(2 * count, 1)
-    order, spare, depth = np.arange(count), np.empty(count, np.int64), np.zeros(most, np.int64)
-    box, link = np.empty((most, 6)), np.zeros((most, 3), np.int64)
-    link[0, 2], n, k = count, 1, 0
+    link[0, 2], n, k = len(low), 1, 0
+    spare = np.empty(len(low), np.int64)
     members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
     # Boxes k … n − 1 still have to be measured and divided; a divided box adds its halves at the end.
     while k < n:
@@ -166,18 +179,17 @@ def boxes_over(low, high):  # type: ignore[no-untyped-def]
                 order[middle + m] = spare[m]
             # Halves of equal number end what might else go on without end: triangles that are all in one place, or
             # boxes that lose only one triangle at each division.
-            if middle in (first, last) or depth[k] >= DEEPEST:
+            if middle in (first, last) or link[k, 3] >= DEEPEST:
                 middle = (first + last) // 2
-            depth[n] = depth[n + 1] = depth[k] + 1
+            link[n, 3] = link[n + 1, 3] = link[k, 3] + 1
             link[k, 0] = n
             link[n, 1], link[n, 2], link[n + 1, 1], link[n + 1, 2] = first, middle, middle, last
             n += 2
         k += 1
-    second = np.where(link[:n, 0] < 0, -1, link[:n, 0] + 1)
-    return order, box[:n], np.column_stack((link[:n, 0], second)), link[:n, 1:]
+    return n
 
 
-@compiled()
+@subroutine()
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     """Index of the bin, along an axis, of the middle of triangle f.
 
@@ -189,7 +201,7 @@ def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
 
 
-@compiled()
+@subroutine()
 def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     """Add to `cost` (BINS,), for the cut below each bin, the number of triangles times the area of the box about them
     on one side of the cut: the lower side for step 1, the upper side for step −1.
@@ -197,13 +209,15 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     members : (BINS,) number of triangles in each bin. bounds : (BINS, 6) lowest and highest corner of their box.
     """
     total = 0
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    low, high = np.empty(3), np.empty(3)
+    for j in range(3):
+        low[j], high[j] = np.inf, -np.inf
     for turn in range(BINS):
         m = turn if step > 0 else BINS - 1 - turn
         cut = m if step > 0 else m + 1
-        side = high - low
+        a, b, c = high[0] - low[0], high[1] - low[1], high[2] - low[2]
         if 0 < cut < BINS and total > 0:
-            cost[cut] += total * (side[0] * side[1] + side[1] * side[2] + side[2] * side[0])
+            cost[cut] += total * (a * b + b * c + c * a)
         elif 0 < cut < BINS:
             # A cut with nothing on one side divides nothing.
             cost[cut] += np.inf
@@ -219,8 +233,10 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
 
     normal : (F, 3) unit normals. area : (F + 1,) running sum of areas, m². span : (N, 2) triangles of each box.
     """
-    cone = np.zeros((len(span), 4))
+    cone = np.empty((len(span), 4))
     for k in range(len(span)):
+        for j in range(3):
+            cone[k, j] = 0.0
         for f in range(span[k, 0], span[k, 1]):
             for j in range(3):
                 cone[k, j] += (area[f + 1] - area[f]) * normal[f, j]
@@ -235,7 +251,7 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
     return cone
 
 
-@compiled()
+@subroutine()
 def triangle_by_area(first, last, area_before, word):  # type: ignore[no-untyped-def]
     """Index of one of the triangles first … last − 1, drawn with a probability proportional to its area.
 

@@ -15,7 +15,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.memory import VALUES_AT_ONCE
@@ -117,7 +117,7 @@ class Raycaster:
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
 
 
-@compiled()
+@subroutine()
 def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
     """The point p + offset · n, metres, in embree's unit frame; scale : the frame's centre and half extent,
     metres."""
@@ -145,8 +145,8 @@ def _refine(
         f = face[i]
         # Zeros rather than what happens to be in memory, so that results repeat.
         if f < 0:
-            position[i] = 0.0
-            normal[i] = 0.0
+            for k in range(3):
+                position[i, k] = normal[i, k] = 0.0
             continue
         approach = 0.0
         height = 0.0
