@@ -22,7 +22,6 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.optimize
-import trimesh
 from scipy.ndimage import convolve1d
 from scipy.spatial.transform import Rotation
 
@@ -178,6 +177,9 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     A file is divided at its concave edges, where surfaces usually change (a thing on a table), as far as these cut it
     into pieces. Raises `InputError` for a file that cannot be read.
     """
+    # Here, because it takes half a second, and every command that makes a scene imports this module.
+    import trimesh
+
     parts = []
     for path in map(Path, paths):
         try:

@@ -1,7 +1,9 @@
-"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written."""
+"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written; Python
+cannot call subroutines; the garbage collector waits for the compiler."""
 
 from __future__ import annotations
 
+import gc
 import importlib.util
 import os
 import subprocess
@@ -11,9 +13,11 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, types
+from numba.core.errors import TypingError
+from numba.extending import overload
 
-from datagen.compiled import compiled
+from datagen.compiled import compiled, subroutine
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,6 +30,53 @@ def ratio(a, b):  # type: ignore[no-untyped-def]
 @njit(error_model="python")
 def ratio_for_another(a, b):  # type: ignore[no-untyped-def]
     return ratio(a, b)
+
+
+@subroutine()
+def doubled(a):  # type: ignore[no-untyped-def]
+    return 2 * a
+
+
+@compiled()
+def quadrupled(a):  # type: ignore[no-untyped-def]
+    return 2 * doubled(a)
+
+
+def test_only_kernels_call_subroutines() -> None:
+    """Compiled or read from the cache, the subroutine has machine code by then, but no wrapper."""
+    assert quadrupled(1.5) == 6.0
+    assert doubled.signatures
+    with pytest.raises(TypeError, match="only compiled functions can call doubled"):
+        doubled(1.5)
+
+
+def watched(a):  # type: ignore[no-untyped-def]
+    raise NotImplementedError("compiled code only")
+
+
+def test_the_garbage_collector_waits_for_the_compiler() -> None:
+    """It stands still while a kernel is compiled, and runs afterwards if it ran before, even after an error."""
+    ran = []
+
+    @overload(watched)
+    def typed(a):  # type: ignore[no-untyped-def]
+        ran.append(gc.isenabled())
+        return None if isinstance(a, types.UnicodeType) else lambda a: a
+
+    kernel = njit(lambda a: watched(a))
+    assert gc.isenabled()
+    assert kernel(1) == 1
+    with pytest.raises(TypingError):
+        kernel("text")
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        assert kernel(1.5) == 1.5
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+    assert len(ran) >= 3
+    assert not any(ran)
 
 
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:

@@ -125,9 +125,9 @@ def boxes_over(low: Floats, high: Floats) -> tuple[Ints, Floats, Ints, Ints]:
 def _divide(low, high, order, box, link):  # type: ignore[no-untyped-def]
     """Number of boxes; the arguments that follow are set.
 
-    low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres. order : (F,) their order, set
-    from 0 … F − 1. box : (2 F, 6) corners of the boxes. link : (2 F, 4) zeros; index of a box's lower half, or −1, the
-    range of its triangles in `order`, and how deep it lies.
+    low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres. order : (F,) 0 … F − 1, put in
+    order. box : (2 F, 6) corners of the boxes. link : (2 F, 4) zeros; set to the index of a box's lower half, or −1;
+    to the range of its triangles in `order`; and to the number of boxes that contain it.
 
     A box is divided where the sum, over both halves, of the number of triangles times the area of their box is least:
     that area is proportional to the probability that a line meets the half.
