@@ -348,7 +348,7 @@ def main(
     name = "promise" if foreign is None else "foreign"
     of_meshes = f" --meshes …/{meshes.name}" if meshes else ""
     ready = {path: config for path in configs if (config := load_config(path)).transport.target is not None}
-    # Options that repeat a case → what makes it.
+    # Each case by the options with which this command repeats it.
     cases: Mapping[str, Callable[[], Case]] = {
         f"--foreign 1 --first {index}{of_meshes}": partial(foreign_case, index, meshes)
         for index in range(first, first + (foreign or 0))

@@ -194,7 +194,7 @@ def calibrate(
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
-    check_recorded_by(frames.source, frames, device)
+    check_recorded_by(frames.source, frames, device, device.zones.count)
     if device.zones.map is not None:
         raise InputError(
             f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"

@@ -231,7 +231,7 @@ def compare(
     shape = frames.histograms.shape[1:]
     fitting = [mode for mode in modes if (mode.zones.count, mode.time.bins) == shape]
     if not fitting:
-        check_recorded_by(frames.source, frames, sensor)
+        check_recorded_by(frames.source, frames, sensor, sensor.zones.count)
     held_back = len(frames) >= FEWEST_HELD_BACK
     fitted = np.arange(len(frames))[:: 2 if held_back else 1]
     tested = np.arange(len(frames))[1::2] if held_back else fitted

@@ -70,12 +70,12 @@ class Device(DeviceConfig):
         return detector_for(DetectorConfig().of_device(self), 0, 0)
 
 
-def check_recorded_by(source: object, frames: Frames, device: Device) -> None:
-    """Raise `InputError`, which names the `source`, for frames of other zones or bins than those of a device."""
-    _, zones, bins = frames.histograms.shape
-    if (zones, bins) != (device.zones.count, device.time.bins):
+def check_recorded_by(source: object, frames: Frames, device: Device, zones: int) -> None:
+    """Raise `InputError`, which names the `source`, for frames of other than `zones` zones with a device's bins."""
+    _, found, bins = frames.histograms.shape
+    if (found, bins) != (zones, device.time.bins):
         raise InputError(
-            f"{source}: {zones} zones of {bins} bins, {device.name} has {device.zones.count} of {device.time.bins}; "
+            f"{source}: {found} zones of {bins} bins, {device.name} has {zones} of {device.time.bins}; "
             "name the device that recorded it"
         )
 

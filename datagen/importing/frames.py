@@ -61,10 +61,12 @@ def config_of_frames(
     if name is None:
         raise InputError(f"{paths[0]}: frames do not say what recorded them; name it: --device tmf8820")
     sensor = device(name)
+    # A scan has a histogram for each laser point.
+    lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
     files, most = [], 0.0
     for path in paths:
         frames = read_frames(path)
-        check_recorded_by(path, frames, sensor)
+        check_recorded_by(path, frames, sensor, lasers * pixels)
         if (frames.histograms % 1 != 0).any():
             raise InputError(f"{path}: holds fractions, which are no counts; round them first")
         most = max(most, float(frames.histograms.max()))

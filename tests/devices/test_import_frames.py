@@ -45,6 +45,14 @@ def test_frames_become_scenes_with_the_places_of_their_poses(frames: Path, tmp_p
         assert parameters["capture.frame"] == frame and parameters["capture.distance_m"] == [0.1, 0.2, 0.3][frame]
 
 
+def test_frames_of_a_scan_have_a_histogram_for_each_laser_point(tmp_path: Path) -> None:
+    bins = dg.device("galvo_spad").time.bins
+    np.save(tmp_path / "scan.npy", np.arange(1024 * bins, dtype=np.int64).reshape(1, 1024, bins) % 7)
+    dg.import_captures(tmp_path / "scan.npy", tmp_path / "real", device="galvo_spad", progress=False)
+    stored = dg.TransientDataset(tmp_path / "real", ("histogram",), counts="stored")[0]["histogram"]
+    np.testing.assert_array_equal(stored.numpy().reshape(1024, bins), np.load(tmp_path / "scan.npy")[0])
+
+
 def test_one_loader_takes_real_and_simulated_frames(tmp_path: Path) -> None:
     large = tmp_path / "large.npy"
     np.save(large, np.full((3, 9, 128), 70_000))

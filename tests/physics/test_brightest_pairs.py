@@ -8,6 +8,7 @@ import trimesh
 from rooms import bins_of_path, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.transport.error_control import refinement
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of
 from datagen.transport.simulate import prepared
@@ -93,3 +94,13 @@ def test_a_run_that_takes_too_much_is_given_up() -> None:
     assert gathered(work) == work
     with pytest.raises(TooMuchWork):
         gathered(work // 2)
+
+
+def test_a_scan_whose_rough_computation_takes_too_much_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pairs of a trial are drawn by a rough computation, which may exceed the limit before any trial does."""
+    monkeypatch.setattr(refinement, "RUNAWAY", 10)
+    scene = Scene.from_parts(
+        [WALL, Part("plate", rectangle((0.8, 0, 1.2), (0, 0.3, 0), (0, 0, 0.3)), Lambertian(0.5))]
+    )
+    run = simulate(scene, scan(points()[::6]), Accuracy(target=0.1, max_bounces=3))
+    assert run.met_target and run.spend is not None and run.spend.way == {"primary": "walk"}

@@ -84,8 +84,8 @@ WITHIN = 0.7
 """Largest estimate of error on the trial's pairs, relative to the error asked, that is accepted: other pairs may be
 worse. Half of it costs a cutting more."""
 RUNAWAY = 1 << 24
-"""Elements and shadow rays of one run from which on quadrature is given up: narrow lobes on both sides of an element
-take some 10¹⁰. Half of it gives up some scans of large pixels."""
+"""Elements and shadow rays of one run from which on quadrature is given up, for every 48 pairs (`TRIALS[1]`) or part
+of 48: narrow lobes on both sides of an element take some 10¹⁰. Half of it gives up some scans of large pixels."""
 BETWEEN, TINY = 8, 1e-150
 """Cuttings considered between two that were tried (with half as many, the cheapest is met less exactly); and a number
 to divide by in place of zero."""
@@ -231,8 +231,9 @@ class Trial:
         if quarterings not in self.seen:
             self.seen[quarterings] = list(self.gathering.seen(self.pairs, levels, edge_levels))
         draw = None if draw is None else draw[self.group]
+        most_work = RUNAWAY * math.ceil(len(self.pairs) / TRIALS[1])
         result = self.gathering.gathered(
-            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt, RUNAWAY
+            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt, most_work
         )
         cells, rays = (
             np.bincount(self.group, work, len(cutting)).astype(np.int64) for work in (result.cells, result.rays)
@@ -358,50 +359,53 @@ class _Runs:
         difference = np.array([_norms(run - self.histograms[-1]) for run in self.histograms])
         return np.asarray(difference + (REST - 1) * self.at(self.finest - 1, difference))
 
-    def group_errors(self) -> Floats:
-        """(runs, G) estimated L2 error of each group: its difference from the last run, and what that still lacks.
+    def group_errors(self, differences: Floats) -> Floats:
+        """(runs, G) estimated L2 error of each group, from its `differences` (runs, G).
 
         The error of N random rays falls at most as 1/N, and so as the error that each may make. Two runs that differ
         by less may do so by chance, above all where one pair has most of the light.
         """
-        errors = self.differences()
+        errors = differences.copy()
         for n in range(2, len(errors)):
             believed = self.trial.by_rays * self.cuttings[n] / self.cuttings[n - 1]
             errors[n] = np.maximum(errors[n], np.where(n <= self.finest, believed * errors[n - 1], 0.0))
         return errors
 
-    def whole_error(self, level: Ints, group_error: Floats) -> float:
+    def whole_error(self, level: Ints, group_error: Floats, differences: Floats) -> float:
         """Estimated L2 error of the sum over groups, where each group is taken from run `level` (G,).
 
-        group_error : (runs, G) from `group_errors`.
+        group_error, differences : (runs, G) from the methods of these names.
         """
         last = self.histograms[-1].sum(axis=1)
         chosen = sum(self.histograms[min(n, len(self.histograms) - 1)][:, k] for k, n in enumerate(level))
         before = sum(self.histograms[n - 1][:, k] for k, n in enumerate(self.finest))
         known = l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
         # What groups' errors were raised by, since they had agreed by chance.
-        raised = self.at(level, group_error) ** 2 - self.at(level, self.differences()) ** 2
+        raised = self.at(level, group_error) ** 2 - self.at(level, differences) ** 2
         return math.sqrt(known**2 + float(np.maximum(raised, 0.0).sum()))
 
-    def levels(self, meets: Bools, group_error: Floats, claimed: Bools, most: float) -> tuple[Ints, float]:
+    def levels(
+        self, meets: Bools, group_error: Floats, differences: Floats, claimed: Bools, most: float
+    ) -> tuple[Ints, float]:
         """(G,) index of the coarsest run of each group that meets its limit, one more than the finest where none
         does; and the L2 error of the whole with these runs.
 
-        meets : (runs, G) whether a run meets the group's limit. group_error : (runs, G).
+        meets : (runs, G) whether a run meets the group's limit. group_error, differences : (runs, G) from the methods
+        of these names.
         most : L2 error that the whole may have; groups are taken from finer runs until it is met.
         """
         groups, next_run = len(claimed), self.finest + ~self.settled
         level = np.minimum(np.argmax(np.vstack([meets, np.ones(groups, np.bool_)]), axis=0), next_run)
         # The finest run of a group that was given up is too dear for all pairs, or nearly: the one before has to do.
         level = np.where(claimed & self.too_dear, self.finest - 1, level)
-        error = self.whole_error(level, group_error)
+        error = self.whole_error(level, group_error, differences)
         while error > most:
             # The group with the largest error has the most to give.
             reducible = np.where(level < next_run, self.at(level, group_error), 0.0)
             if groups * reducible.max() <= HELPS * most:
                 break
             level[np.argmax(reducible)] += 1
-            error = self.whole_error(level, group_error)
+            error = self.whole_error(level, group_error, differences)
         return level, error
 
 
@@ -434,7 +438,8 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
             return None
         claimed = objects & (group_norm > negligible * norm) & (trial.energy(light) >= request.faint)
         limit = np.where(claimed & ~runs.too_dear, request.part_target * group_norm, np.inf)
-        group_error, last = runs.group_errors(), len(runs.histograms) > LEVELS
+        differences, last = runs.differences(), len(runs.histograms) > LEVELS
+        group_error = runs.group_errors(differences)
         # The error of a group need not be known where the group is too faint to matter to anything asked.
         matters = (claimed & ~runs.too_dear) | (group_norm > request.target * norm)
         # While single elements may err by more than all the light of a faint object, two runs agree by chance. Few
@@ -443,7 +448,7 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
         known = runs.comparable(share / FINER * np.maximum(group_norm, least)) | ~matters | last
         meets = (group_error <= WITHIN * limit) & known & ~(claimed & runs.too_dear)
         most = WITHIN * request.target * norm
-        level, error = runs.levels(meets, group_error, claimed, most)
+        level, error = runs.levels(meets, group_error, differences, claimed, most)
         # The finest run has no finer one to be compared with: only a steady decrease tells of its error.
         unconfirmed = (level == finest) & matters & ~runs.settled & ~_converging(runs.histograms, finest)
         level = np.where(unconfirmed, finest + 1, level)

@@ -83,10 +83,9 @@ DROPPED, OPENED, QUARTERED, IN_TURN, ONE_POINT, CUT, CLEAR, SPREAD = range(8)
 stack once for each quarter of the footprint, or once for a quarter, chosen in turn, that stands for all four; one
 random point stands for the box; the element is halved; it waits on the stack of clear elements; its light is added
 to the histogram."""
-STEP = {"forceinline": True, "_nrt": False, "no_cpython_wrapper": True}
-"""How the steps of `_gather_part` are compiled. Calls would cost more than many of them; without `_nrt=False` arrays
-are counted in and out of every function, a third of the time; and wrappers for callers in Python take most of the
-time of compiling."""
+STEP = {"forceinline": True, "_nrt": False}
+"""How the steps of `_gather_part` are compiled. Calls would cost more than many of them; and without `_nrt=False`
+arrays are counted in and out of every function, a third of the time."""
 
 
 class Lit(NamedTuple):
@@ -327,7 +326,7 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
     return turn & 3
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
     """The `View` from footprint q of row p to elements of part k; the footprint stands for `share` footprints.
 
@@ -349,7 +348,7 @@ def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ignore[no-untyped-def]
     """Upper bound of the photons from a box or element to an uneven footprint, −1 if there are none; whether the box
     or element is so large that it is divided before the footprint is quartered; and number of its longest side."""
@@ -372,7 +371,7 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
     return at_most * light_at_most(m, h, area, rise, height, lit.x, z, size, attenuation), halve, side
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED, IN_TURN or ONE_POINT."""
     tree, x, z = scan.tree, lit.x, view.z
@@ -411,7 +410,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     return ONE_POINT if small else OPENED
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type: ignore[no-untyped-def]
     """Let one random point stand for a faint box; returns the elements spread and the rays asked, 0 or 1 each."""
     tree, x, clock = scan.tree, lit.x, scan.clock
@@ -432,7 +431,7 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
     return 1, 1
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _light_at_vertices(  # type: ignore[no-untyped-def]
     scan, lit, view, what, f, k, candidates, room, top, alight
 ):  # fmt: skip
@@ -463,7 +462,7 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
     return SPREAD
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
     """The `Element` at `top` of the stack, which lies on triangle f."""
     n, a, (m, side, h) = get(scan.tree.normal, f, 0), vertex_of(cell, top, 0), middle_of(cell, top)
@@ -474,7 +473,7 @@ def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-de
     return Element(f, m, n, h, side, w, r1, r3, rise1, rise3)
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-def]
     """What becomes of an element that nothing hides: DROPPED, QUARTERED, CUT or SPREAD; the L2 error if all its light
     were missing, photons; and the `bend` of its arrival times (`weights.verdict`)."""
@@ -511,7 +510,7 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     return QUARTERED if quarter else CUT if cut else SPREAD, OUTSIDE * norm if unseen else norm, bend
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top):  # type: ignore[no-untyped-def]
     """What becomes of an element by what shadow rays find of it, DROPPED, CUT or SPREAD; and the number of rays.
 
@@ -542,7 +541,7 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
     return CUT if cut else SPREAD, rays
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
     """Whether it is proven that one triangle hides all of an element from the laser point or from the footprint."""
     (first, middle, last), row, listed, cell = candidates, scan.occluders.row, room.listed, room.cell
@@ -552,7 +551,7 @@ def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ig
     )
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _points_seen(scan, lit, view, element, count, candidates, room, top):  # type: ignore[no-untyped-def]
     """Number of random points of an element, out of `count` (1 or 3), that the laser point lights and the footprint
     sees; and number of points tried, fewer than `count` as soon as some are seen and some are not."""
@@ -592,7 +591,7 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
     return middle == last or hidden(z, y, f, middle, last, hides, listed) == 0
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
     """Bounds of the lists of those candidates that may hide some of the element at `top`, for its halves.
 
@@ -608,7 +607,7 @@ def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no
     return last, half_way, narrowed(view.z, a, b, c, f, middle, last, half_way, row, listed)
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no-untyped-def]
     """New height of the stack, after the box or element at `top` was put there once for each quarter of footprint q,
     or once for quarter `only` ≥ 0, which then stands for all four."""
@@ -633,7 +632,7 @@ def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no
     return top
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
     """New height of the stack, after the two boxes within box `at`, or its triangles, were put there."""
     tree, tag, cell = scan.tree, room.tag, room.cell
@@ -649,7 +648,7 @@ def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
     return top
 
 
-@compiled(**STEP)
+@subroutine(**STEP)
 def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ignore[no-untyped-def]
     """Photons outside the window of time, after the light of the element at `top` was added to row `into`."""
     per_metre, wa, wb, wc = scan.clock.per_metre, cell[top, 3], cell[top, 8], cell[top, 13]

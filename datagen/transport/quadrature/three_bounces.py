@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.error_control.refinement import Asked, Choice, Quartering, Trial, choose, quarter
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of
@@ -64,18 +64,17 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     lit = task.points.part[pairs[:, 0]] >= 0
     bright = np.zeros(lit.sum(), np.bool_)
     for _ in range(MOST_TRIALS):
-        trial = Trial.of(gathering, pairs[lit], asked, bright)
         try:
-            tried = _tried(trial, asked, len(pairs))
+            tried = _tried(Trial.of(gathering, pairs[lit], asked, bright), asked, len(pairs))
         except TooMuchWork:
             return None
         if tried is None:
             return None
         trial, choice, quartering = tried
-        primary = _of_all_pairs(trial, choice, quartering, pairs)
+        primary = _of_all_pairs(trial, choice, quartering, pairs, lit)
         claimed = [k for k, g in enumerate(trial.group) if task.tally_rows.parts and choice.claimed[g]]
-        light = np.stack([np.sum(primary.rows, axis=0), *(primary.rows[k] for k in claimed)], axis=-1)
-        norms = np.linalg.norm(light.reshape(len(pairs), -1, 1 + len(claimed))[lit], axis=1)
+        light = [sum(primary.rows[1:], start=primary.rows[0]), *(primary.rows[k] for k in claimed)]
+        norms = np.stack([np.linalg.norm(of.reshape(len(pairs), -1), axis=1) for of in light], axis=1)[lit]
         # A pair that has most of the light, and that the trial did not know, may have most of the error.
         overlooked = trial.overlooked(pairs[lit], norms)
         if not overlooked.any():
@@ -99,13 +98,12 @@ def _tried(trial: Trial, asked: Asked, pairs: int) -> tuple[Trial, Choice, Quart
         trial = replace(trial, levels=quartering.levels, seen={})
 
 
-def _of_all_pairs(trial: Trial, choice: Choice, quartering: Quartering, pairs: Ints) -> Primary:
-    """The primary of all pairs (n, 2), and the errors that the trial found."""
+def _of_all_pairs(trial: Trial, choice: Choice, quartering: Quartering, pairs: Ints, lit: Bools) -> Primary:
+    """The primary of all pairs (n, 2), of which `lit` (n,) have light, and the errors that the trial found."""
     gathering, task = trial.gathering, trial.gathering.task
     # Errors of the trial's pairs are known for the cutting that was tried: only if others are left, a cheaper cutting
     # in between is worth its uncertainty.
-    all_tried = len(trial.pairs) == (task.points.part[pairs[:, 0]] >= 0).sum()
-    cutting = choice.tried_cutting if all_tried else choice.cutting
+    cutting = choice.tried_cutting if len(trial.pairs) == lit.sum() else choice.cutting
     parts = len(trial.group)
     rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
     levels = max(quartering.levels, gathering.ray_levels())
