@@ -3,6 +3,7 @@ SIGTERM."""
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -32,6 +33,9 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
 
     def end(number: int, _: object) -> None:
         received.append(number)
+        # Nobody has to know what a library could not finish.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        logging.getLogger("asyncio").disabled = True
         # Libraries that are being imported swallow what is raised in them, or raise errors of their own instead.
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
         if not _is_clearing_up():

@@ -51,7 +51,7 @@ def _ensure_server() -> None:
     # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
     resource_tracker.ensure_running()
     try:
-        with _environment(ONE_THREAD), _interrupt_blocked():
+        with _environment(ONE_THREAD), _signals_deferred():
             forkserver.ensure_running()
     except OSError as error:
         # Only an address that is too long for a socket has no number.
@@ -125,7 +125,7 @@ class _Process:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         _ensure_server()
-        with _environment(ONE_THREAD), _interrupt_blocked():
+        with _environment(ONE_THREAD), _signals_deferred():
             return self._pool.submit(function, *arguments)
 
     def stop(self, kill: bool) -> None:
@@ -183,14 +183,31 @@ def _environment(values: dict[str, str]) -> Iterator[None]:
 
 
 @contextmanager
-def _interrupt_blocked() -> Iterator[None]:
-    """Delay Ctrl-C until the end of the block. A terminal sends Ctrl-C to all processes; those that are started
-    inside the block inherit the mask and never get it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+def _signals_deferred() -> Iterator[None]:
+    """Delay what ends this process until the end of the block: a worker that is half started would not be known, and
+    not be ended.
+
+    A terminal sends Ctrl-C to all processes; those that are started inside the block inherit its mask and never get
+    it. The mask alone is not enough, as another thread of this process may take the signal, and Python then runs the
+    handler in the main thread.
+    """
+    waiting = list[int]()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
+    # Only the main thread may have handlers, and they run in no other.
+    own = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in numbers if own}
+    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    for number in handlers:
+        signal.signal(number, lambda number, _: waiting.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for received in waiting:
+            signal.raise_signal(received)
 
 
 class DaskCluster:

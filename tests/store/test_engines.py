@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -17,6 +18,7 @@ from fake_samples import fake_sample, small_config
 from here_and_now import HereAndNow, jobs_go_to
 from interrupts import LATEST_S, interruptions
 
+from datagen.building import engines
 from datagen.building.build import build
 from datagen.building.shard_job import ShardJob
 from datagen.store import running_path
@@ -45,6 +47,23 @@ def test_a_signal_at_any_moment_ends_a_build_in_one_line(kind: signal.Signals, t
     with tempfile.TemporaryDirectory() as folder:
         counted = interruptions(kind, tries, Path(folder), kind.value, latest_s, resume=tries > 2)
     assert counted["ended"] == tries and counted["wrong"] == 0
+
+
+def test_a_signal_that_another_thread_takes_waits_until_a_worker_is_started() -> None:
+    """Python runs the handler in the main thread whichever thread took the signal, whatever the main one's mask."""
+    begun, reached = threading.Event(), False
+
+    def interrupt_oneself() -> None:
+        begun.wait()
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+
+    taker = threading.Thread(target=interrupt_oneself, daemon=True)
+    taker.start()
+    with pytest.raises(KeyboardInterrupt), engines._signals_deferred():
+        begun.set()
+        taker.join()
+        reached = True
+    assert reached
 
 
 def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path: Path) -> None:
