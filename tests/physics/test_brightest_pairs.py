@@ -10,7 +10,8 @@ from rooms import bins_of_path, rectangle, square_pixels
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.transport.error_control import refinement
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
-from datagen.transport.reference import pairs_of
+from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.simulate import prepared
 
 DEVICE = np.array([3.0, -1.0, 1.2])
@@ -104,3 +105,47 @@ def test_a_scan_whose_rough_computation_takes_too_much_is_sampled(monkeypatch: p
     )
     run = simulate(scene, scan(points()[::6]), Accuracy(target=0.1, max_bounces=3))
     assert run.met_target and run.spend is not None and run.spend.way == {"primary": "walk"}
+
+
+def test_a_trial_is_drawn_by_the_light_that_the_one_before_found() -> None:
+    """A pair that has nearly all the light of one group is in the next trial, which then overlooks none."""
+    scene = Scene.from_parts([WALL, Part("box", trimesh.creation.box((0.3, 0.3, 0.3)), Lambertian(0.6))])
+    capture = scan(points())
+    task = prepared(scene, capture, Accuracy(target=0.05), 0, split_parts=True)
+    gathering, pairs = Gathering.of(task), pairs_of(capture)
+    asked = refinement.Asked(0.05, 0.05, 0.0, np.array([False, True]))
+    first = refinement.Trial.of(gathering, pairs, asked)
+    found = np.ones((len(pairs), 1 + len(first.scale)))
+    # Index of a pair that the first trial has not.
+    missed = int(np.flatnonzero(~(pairs[:, None] == first.pairs).all(axis=2).any(axis=1))[0])
+    found[missed, 2] = 1e4
+    assert first.overlooks(pairs, found)
+    second = refinement.Trial.of(gathering, pairs, asked, found)
+    assert pairs[missed].tolist() in second.pairs.tolist()
+    assert not second.overlooks(pairs, found)
+
+
+def test_a_pixel_that_sees_two_surfaces_keeps_its_claim() -> None:
+    """One pixel of 4 cm sees a wall and the edge of a pillar before it. There elements and footprints are halved
+    together, and errors fall slowly. In the root mean square of eight pixels they were 1.3 times what was claimed as
+    long as they were believed to fall as fast as elsewhere; 0.8 since."""
+    wall = trimesh.Trimesh(
+        [(0, -1, 0.2), (0, 1, 0.2), (0, 1, 2.2), (0, -1, 2.2)], [(0, 1, 2), (0, 2, 3)], process=False
+    )
+    device, off = np.array([2.0, -0.6, 1.3]), []
+    for gap in (0.05, 0.15):
+        pillar = trimesh.creation.box((0.2, 0.2, 1.6)).apply_translation((gap + 0.1, 0.25, 1.2))
+        scene = Scene.from_parts(
+            [Part("wall", wall, Lambertian(0.7), "relay_wall"), Part("pillar", pillar, Lambertian(0.5), "structure")]
+        )
+        for j in range(4):
+            # Where the line of sight past a point of the pillar's edge meets the wall.
+            edge = np.array([gap, 0.15, 1.0 + 0.04 * j + 0.003 * j * j])
+            target = device + (edge - device) * device[0] / (device[0] - gap) + [0.0, 0.003 * j - 0.012, 0.0]
+            sensor = Sensor(device, square_pixels(target[None], 0.02))
+            capture = Capture(Laser(device, target[None]), sensor, bins_of_path(120, 0.02, 0.0), "confocal")
+            truth = reference(scene, capture, samples=1 << 16, replicates=8, seed=5, max_bounces=3, draw=sample_paths)
+            run = simulate(scene, capture, Accuracy(target=0.02, max_bounces=3))
+            square = ((run.total - truth.total) ** 2).sum() - (truth.stderr**2).sum()
+            off.append(max(square, 0.0) / (run.relative_error**2 * (truth.total**2).sum()))
+    assert np.sqrt(np.mean(off)) <= 1.0

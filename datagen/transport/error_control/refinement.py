@@ -45,9 +45,11 @@ FALLS = 0.55
 """Largest ratio of the last difference between runs to the one before it, at which the finest run may itself be
 chosen: without that decrease nothing says how large the remaining error is. Half of it asks for one more run nearly
 always."""
-REST = 1.6
-"""Error of a cutting, relative to its difference from the next one: errors fall to about 0.4 from one cutting to the
-next, and 1 + 0.4 + 0.16 + … ≈ 1.6. With half of it errors would be claimed too small."""
+REST, REST_AT_EDGES = 0.6, 1.7
+"""Error of a cutting, relative to its difference from the one before: errors fall to about 0.4 from one cutting to
+the next, and 0.4 + 0.16 + … ≈ 0.6; and the same of pixels at edges. There elements and footprints are halved
+together, and errors fall as the cube root of what each may make, to 0.63: 0.63 + 0.63² + … = 1.7. With half of
+either, errors would be claimed too small."""
 LOOKS = 4
 """Most runs with the coarsest cutting, each with other random points, in search of a group's first light. With half
 as many, the second cutting more often begins without a measure of a group's light."""
@@ -162,50 +164,50 @@ class Trial:
     seen: dict[tuple[int, int | None], list[Seen]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, gathering: Gathering, lit: Ints, request: Asked, bright: Bools | None = None) -> Trial:
-        """A trial of pairs drawn from `lit` (n, 2) by a rough computation of the light of some of them, among which
-        are those that `bright` (n,) marks, if any.
+    def of(cls, gathering: Gathering, lit: Ints, request: Asked, found: Floats | None = None) -> Trial:
+        """A trial of pairs drawn from `lit` (n, 2) by their light, as `found`, or by a rough computation of some.
 
         Half of the draw is by the light of the whole, half by that of each object: a few pairs may have all the light
         of an object, and all its error.
+
+        found : (n, 1 + G) square of the L2 norm of each pair's light, in the whole and in each group.
         """
         task, group = gathering.task, request.group(gathering.width < 1.0)
         groups = 1 + int(group.max())
         wanted = _trials(len(lit), groups * task.capture.time.bins)
-        bright = np.zeros(len(lit), np.bool_) if bright is None else bright
-        others = np.flatnonzero(~bright)
-        others = others[spread_evenly(len(others), LOOKED_AT * wanted)]
-        represents = np.ones(len(lit))
-        represents[others] = (len(lit) - bright.sum()) / max(len(others), 1)
-        looked_at = np.sort(np.concatenate([np.flatnonzero(bright), others]))
-        represents = represents[looked_at]
+        looked_at = spread_evenly(len(lit), LOOKED_AT * wanted) if found is None else np.arange(len(lit))
+        represents = len(lit) / max(len(looked_at), 1)
         rough = cls(
-            gathering, lit[looked_at], np.ones(len(looked_at)), group, np.ones(groups), gathering.levels(), Work()
-        )
+            gathering, lit[looked_at], np.full(len(looked_at), represents), group, np.ones(groups),
+            gathering.levels(), Work(),
+        )  # fmt: skip
         if len(looked_at) <= wanted:
-            return replace(rough, weight=represents)
-        light = rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0]).histogram
-        if rough.gathering.lobed:
-            # Coarse elements may miss lobes, and with them the pairs that have most of the light.
-            light = light + rough.gathered(np.full(groups, COARSE), 0, EDGE_LEVELS[0], matt=True).histogram
-        squares, group_squares = (light.sum(axis=1) ** 2).sum(axis=1), (light**2).sum(axis=2)
-        of_objects = group_squares[:, request.of_objects(groups)]
-        norms = np.sqrt(np.column_stack([squares, of_objects]))
-        places, stands_for = by_light(represents[:, None] * norms, wanted)
-        weight = stands_for * represents[places]
+            return rough
+        squares = rough.rough_light() if found is None else found
+        norms = np.sqrt(squares[:, np.concatenate([[True], request.of_objects(groups)])])
+        places, stands_for = by_light(norms, wanted)
         # The draw changes each group's norm by chance; `scale` takes that back.
-        of_all, of_drawn = represents @ group_squares, weight @ group_squares[places]
+        of_all, of_drawn = squares[:, 1:].sum(axis=0), stands_for @ squares[places, 1:]
         scale = np.sqrt(np.divide(of_all, of_drawn, where=of_drawn > 0, out=np.ones(groups)))
-        return replace(rough, pairs=rough.pairs[places], weight=weight, scale=scale, seen={})
+        return replace(rough, pairs=rough.pairs[places], weight=stands_for * represents, scale=scale, seen={})
 
-    def overlooked(self, lit: Ints, norms: Floats) -> Bools:
-        """(n,) which of the pairs `lit` (n, 2) have more than `BRIGHTER` times as much light, of some row, as any
-        pair of the trial.
+    def rough_light(self) -> Floats:
+        """(n, 1 + G) square of the L2 norm of each pair's light with the coarsest elements, in the whole and in each
+        group."""
+        even, coarse = replace(self, weight=np.ones(len(self.pairs))), np.full(len(self.scale), COARSE)
+        light = even.gathered(coarse, 0, EDGE_LEVELS[0]).histogram
+        if self.gathering.lobed:
+            # Coarse elements may miss lobes, and with them the pairs that have most of the light.
+            light = light + even.gathered(coarse, 0, EDGE_LEVELS[0], matt=True).histogram
+        return np.column_stack([(light.sum(axis=1) ** 2).sum(axis=1), (light**2).sum(axis=2)])
 
-        norms : (n, rows) L2 norm of the light of each pair in the whole and in each object.
+    def overlooks(self, lit: Ints, squares: Floats) -> bool:
+        """Whether some of the pairs `lit` (n, 2) has more than `BRIGHTER` times as much light as any of the trial.
+
+        squares : (n, columns) square of the L2 norm of each pair's light, in the whole and in some groups.
         """
         tried = (lit[:, None] == self.pairs).all(axis=2).any(axis=1)
-        return np.asarray((norms > BRIGHTER * norms[tried].max(axis=0, initial=0.0)).any(axis=1))
+        return bool((squares > BRIGHTER**2 * squares[tried].max(axis=0, initial=0.0)).any())
 
     @property
     def by_rays(self) -> Bools:
@@ -354,10 +356,19 @@ class _Runs:
         """(G,) values of each group in run `level` (G,), or in its finest, out of those of all runs (runs, G)."""
         return np.asarray(of_runs[np.minimum(level, self.finest), np.arange(len(self.finest))])
 
+    def lacking(self) -> Floats:
+        """(n, G, T) estimated error of each group's finest run: a multiple of its difference from the run before."""
+        finest = enumerate(self.finest)
+        difference = np.stack([(self.histograms[n - 1] - self.histograms[-1])[:, k] for k, n in finest], axis=1)
+        trial = self.trial
+        # Errors of rays are not those of elements.
+        slow = trial.gathering.at_edge[trial.pairs[:, 1]][:, None] & ~trial.by_rays
+        return np.asarray(difference * np.where(slow, REST_AT_EDGES, REST)[:, :, None])
+
     def differences(self) -> Floats:
         """(runs, G) L2 norm of each group's difference from the last run, and what the last one still lacks."""
-        difference = np.array([_norms(run - self.histograms[-1]) for run in self.histograms])
-        return np.asarray(difference + (REST - 1) * self.at(self.finest - 1, difference))
+        last = self.histograms[-1]
+        return np.array([_norms(run - last) for run in self.histograms]) + _norms(self.lacking())
 
     def group_errors(self, differences: Floats) -> Floats:
         """(runs, G) estimated L2 error of each group, from its `differences` (runs, G).
@@ -378,8 +389,7 @@ class _Runs:
         """
         last = self.histograms[-1].sum(axis=1)
         chosen = sum(self.histograms[min(n, len(self.histograms) - 1)][:, k] for k, n in enumerate(level))
-        before = sum(self.histograms[n - 1][:, k] for k, n in enumerate(self.finest))
-        known = l2_norm(chosen - last) + (REST - 1) * l2_norm(before - last)
+        known = l2_norm(chosen - last) + _norm(self.lacking())
         # What groups' errors were raised by, since they had agreed by chance.
         raised = self.at(level, group_error) ** 2 - self.at(level, differences) ** 2
         return math.sqrt(known**2 + float(np.maximum(raised, 0.0).sum()))

@@ -24,6 +24,8 @@ from datagen.transport.visibility.raycast import Raycaster
 BENT = 0.02
 """1 − cosine of the angle between two normals within a footprint from which on the footprint counts as uneven, about
 11°. Half of it counts more footprints on curved surfaces as uneven, which are then quartered."""
+FLAT = 1e-9
+"""1 − cosine of an angle between normals that counts as none. It only has to be beyond rounding."""
 LOOKS, MOST_LOOKS = range(1, 4), 1 << 16
 """Times that pixels may be quartered to find out whether they see an edge, and most lines of sight of all pixels
 together, which decides between them: a small surface in one of many pixels is little light. Half of the second may
@@ -45,6 +47,7 @@ class Patches(NamedTuple):
     size : (P, Q) largest extent, m.
     across : (P, Q, 2, 3) vectors from side to side, along the pixel's two directions, m.
     uneven : (P, Q) whether some footprint within lies on another surface than the middle.
+    bent : (P, Q) whether the surface at some footprint within is turned against the one at the middle.
     quarters : (Q, 4) indices of each footprint's quarters, −1 for the finest.
     fraction : (Q,) fraction of its pixel, 4^−level. With lobes, an element errs alike for all footprints of a pixel,
         so that it may make only this fraction of its error for each.
@@ -61,6 +64,7 @@ class Patches(NamedTuple):
     size: Floats
     across: Floats
     uneven: Bools
+    bent: Bools
     quarters: Ints
     fraction: Floats
 
@@ -117,17 +121,19 @@ class Patches(NamedTuple):
         # zero, so that one may divide by it.
         size[:, inner] = np.maximum(size[:, inner], 4.0 * apart)
         size = np.maximum(size, 1e-9)
-        uneven = np.zeros(part.shape, np.bool_)
+        uneven, bent = np.zeros((2, *part.shape), np.bool_)
         cosine = np.einsum("pqik,pqk->pqi", normal[:, below], normal[:, inner])
         other = (part[:, below] != part[:, inner, None]) | ((cosine < 1 - BENT) & (part[:, below] >= 0))
         uneven[:, inner] = other.any(axis=2)
-        # A footprint with an uneven quarter is uneven, too.
+        bent[:, inner] = ((cosine < 1 - FLAT) & (part[:, below] >= 0)).any(axis=2)
+        # A footprint with an uneven quarter is uneven, too, and one with a bent quarter is bent.
         for level in reversed(by_level):
-            uneven[:, level] |= uneven[:, quarters[level]].any(axis=2)
+            for some in (uneven, bent):
+                some[:, level] |= some[:, quarters[level]].any(axis=2)
         fraction = np.repeat([4.0**-level for level in range(len(pools))], [pool.part.shape[1] for pool in pools])
         return cls(
-            position, normal, to_sensor, part, weight, most_weight, footprint, leg, size, across, uneven, quarters,
-            fraction,
+            position, normal, to_sensor, part, weight, most_weight, footprint, leg, size, across, uneven, bent,
+            quarters, fraction,
         )  # fmt: skip
 
 

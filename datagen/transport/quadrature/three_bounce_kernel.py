@@ -117,6 +117,7 @@ class View(NamedTuple):
     z, normal : position, metres, and unit normal.
     vertex : position, normal and BRDF, as `weights.weight` takes them.
     size, area, quarters : largest extent, metres; area, m²; and whether it has quarters.
+    bent : whether it has quarters that are turned against its middle: they may see what lies below its plane.
     gain : photons per unit of weight and of the element's area, m².
     allowed, allowed_alike : L2 error that one element may make, photons, if its errors for different footprints are
         independent, and if they are alike.
@@ -133,6 +134,7 @@ class View(NamedTuple):
     size: float
     area: float
     quarters: bool
+    bent: bool
     gain: float
     allowed: float
     allowed_alike: float
@@ -279,8 +281,9 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):
             alight += becomes == CLEAR
             if becomes in (DROPPED, CLEAR):
                 continue
-            element = _as_element(scan, lit, view, at, k, cell, top)
-            becomes, over, bend = _judge(scan, lit, view, element, k, cell, top)
+            if becomes == SPREAD:
+                element = _as_element(scan, lit, view, at, k, cell, top)
+                becomes, over, bend = _judge(scan, lit, view, element, k, cell, top)
             if becomes == DROPPED:
                 continue
             if becomes != QUARTERED:
@@ -342,8 +345,9 @@ def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
     allowed, allowed_alike = cutting.error[k] * math.sqrt(of_pixel), cutting.error[k] * of_pixel
     device = lit.leg + patches.leg[p, q] if scan.clock.device else 0.0
     word = mix(mix(np.uint64(cutting.seed[k]), np.uint64(number)), np.uint64(q))
+    quarters = patches.quarters[q, 0] >= 0
     return View(
-        p, q, z, n, vertex, patches.size[p, q], patches.footprint[p, q], patches.quarters[q, 0] >= 0,
+        p, q, z, n, vertex, patches.size[p, q], patches.footprint[p, q], quarters, quarters and patches.bent[p, q],
         lit.power * patches.weight[p, q] * share, allowed, allowed_alike, keen, device, word,
     )  # fmt: skip
 
@@ -375,7 +379,8 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
 def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED, IN_TURN or ONE_POINT."""
     tree, x, z = scan.tree, lit.x, view.z
-    rise1, rise3 = above(tree.box, at, x, lit.normal), above(tree.box, at, z, view.normal)
+    rise1 = above(tree.box, at, x, lit.normal)
+    rise3 = np.inf if view.bent else above(tree.box, at, z, view.normal)
     # A large footprint may see what lies behind the plane of its middle.
     if rise1 <= 0.0 or (rise3 <= 0.0 and view.size <= 0.0):
         return DROPPED
@@ -394,7 +399,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     at_most *= facing_at_most(m, h, axis, cosine, sine, x, rise1)
     at_most *= facing_at_most(m, h + view.size, axis, cosine, sine, z, rise3 + view.size)
     small, near3 = is_small(tree.box, at, x, z, at_most, view.allowed, attenuation)
-    if sides > 0 and not small:
+    if sides > 0 and not small and not view.bent:
         # The peak of a lobe is far more than what a box turned away from it brings.
         tilt = math.acos(max(cosine, -1.0))
         at_most = view.gain * area * weight_at_most(
@@ -435,19 +440,19 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
 def _light_at_vertices(  # type: ignore[no-untyped-def]
     scan, lit, view, what, f, k, candidates, room, top, alight
 ):  # fmt: skip
-    """What becomes of the element at `top`, on triangle f: DROPPED, CLEAR (it was put on the stack of clear elements)
-    or SPREAD (it has to be judged).
+    """What becomes of the element at `top`, on triangle f: DROPPED, QUARTERED, CLEAR (it was put on the stack of
+    clear elements) or SPREAD (it has to be judged).
 
     A fresh element gets the weights at its vertices. alight : height of the stack of clear elements.
     """
     tree, cell, x, z, flat = scan.tree, room.cell, lit.x, view.z, scan.occluders.flat
     n, a, kind2, values2 = get(tree.normal, f, 0), vertex_of(cell, top, 0), scan.kind[k], scan.values[k]
-    if highest_above(cell, top, x, lit.normal) <= 0.0 or highest_above(cell, top, z, view.normal) <= 0.0:
-        return DROPPED
     rise1, rise3 = dot(subtract(x, a), n), dot(subtract(z, a), n)
-    # The laser point lies in the element's plane and does not light it.
-    if abs(rise1) < flat:
+    # The element lies below the laser point's surface, or the laser point in the element's plane.
+    if highest_above(cell, top, x, lit.normal) <= 0.0 or abs(rise1) < flat:
         return DROPPED
+    if highest_above(cell, top, z, view.normal) <= 0.0:
+        return QUARTERED if _seen_round_bend(scan, lit, view, f, k, cell, top) else DROPPED
     if what == FRESH:
         for j in range(3):
             y = vertex_of(cell, top, j)
@@ -460,6 +465,21 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
         waiting = put_clear(room.clear, alight, cell, top, f, view.q, lit.vertex, kind2, values2, view.vertex)
         return CLEAR if waiting > alight else SPREAD
     return SPREAD
+
+
+@subroutine(**STEP)
+def _seen_round_bend(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
+    """Whether the element at `top`, on triangle f, might send more light than it may miss to parts of the footprint
+    that are turned against its middle, which does not see the element."""
+    if not view.bent:
+        return False
+    m, _, h = middle_of(cell, top)
+    rise = highest_above(cell, top, lit.x, lit.normal)
+    height = abs(dot(subtract(lit.x, vertex_of(cell, top, 0)), get(scan.tree.normal, f, 0)))
+    peak, area = scan.cutting.peak, cell[top, 15]
+    at_most = view.gain * peak[lit.part] * peak[k] * peak[scan.patches.part[view.p, view.q]]
+    at_most *= light_at_most(m, h, area, rise, height, lit.x, view.z, view.size, scan.clock.attenuation)
+    return at_most > view.allowed_alike
 
 
 @subroutine(**STEP)
@@ -494,6 +514,8 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     if element.rise1 * rise3 <= 0.0 or abs(rise3) < scan.occluders.flat:
         # The lit side faces away from the footprint's middle. A large footprint may reach above the element's plane:
         # the light that arrives `size` above the plane bounds what is lost if this is neglected.
+        if _seen_round_bend(scan, lit, view, element.f, k, cell, top):
+            return QUARTERED, norm, bend
         if not (view.quarters and abs(rise3) < size):
             return DROPPED, norm, bend
         rise, z = math.copysign(size, element.rise1), view.z

@@ -26,7 +26,7 @@ from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of
 
 MOST_TRIALS = 3
-"""Most trials of a scan: each knows the pairs that the one before overlooked. With half as many, the second trial's
+"""Most trials of a scan: each is drawn by the light that the one before found. With half as many, the second trial's
 own oversights stay."""
 
 
@@ -61,26 +61,33 @@ def primary_by_cells(gathering: Gathering, target: float, part_target: float, fa
     task = gathering.task
     pairs = pairs_of(task.capture)
     asked = Asked(target, part_target, faint, np.array([role == "object" for role in task.scene.roles]))
-    lit = task.points.part[pairs[:, 0]] >= 0
-    bright = np.zeros(lit.sum(), np.bool_)
+    lit, found = task.points.part[pairs[:, 0]] >= 0, None
     for _ in range(MOST_TRIALS):
         try:
-            tried = _tried(Trial.of(gathering, pairs[lit], asked, bright), asked, len(pairs))
+            tried = _tried(Trial.of(gathering, pairs[lit], asked, found), asked, len(pairs))
         except TooMuchWork:
             return None
         if tried is None:
             return None
         trial, choice, quartering = tried
         primary = _of_all_pairs(trial, choice, quartering, pairs, lit)
-        claimed = [k for k, g in enumerate(trial.group) if task.tally_rows.parts and choice.claimed[g]]
-        light = [sum(primary.rows[1:], start=primary.rows[0]), *(primary.rows[k] for k in claimed)]
-        norms = np.stack([np.linalg.norm(of.reshape(len(pairs), -1), axis=1) for of in light], axis=1)[lit]
+        found = _squares(primary.rows, trial.group)[lit]
         # A pair that has most of the light, and that the trial did not know, may have most of the error.
-        overlooked = trial.overlooked(pairs[lit], norms)
-        if not overlooked.any():
+        if not trial.overlooks(pairs[lit], found[:, np.concatenate([[True], choice.claimed])]):
             break
-        bright |= overlooked
     return primary
+
+
+def _squares(rows: list[Floats], group: Ints) -> Floats:
+    """(n, 1 + G) square of the L2 norm of each pair's light, in the whole and in each group.
+
+    rows : as in `Primary`: one for each part, or a single one, whose light then stands for that of each group.
+    group : (K,) index of each part's group.
+    """
+    of_groups = [np.flatnonzero(group == g) if len(rows) > 1 else [0] for g in range(group.max() + 1)]
+    # A sum at a time: histograms of a large scan take gigabytes.
+    light = (sum((rows[k] for k in some[1:]), start=rows[some[0]]) for some in [range(len(rows)), *of_groups])
+    return np.stack([np.einsum("lpt,lpt->lp", of, of).ravel() for of in light], axis=1)
 
 
 def _tried(trial: Trial, asked: Asked, pairs: int) -> tuple[Trial, Choice, Quartering] | None:
