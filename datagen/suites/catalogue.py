@@ -32,7 +32,7 @@ class Suite:
 
     Attributes
     ----------
-    name : its name with the version, such as `letters-8`. The bytes of a name never change.
+    name : its name with the version, such as `letters-9`. The bytes of a name never change.
     digest : hex SHA-256 of all its values as published (`datagen digest`).
     """
 
@@ -129,7 +129,7 @@ def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool
 
     Parameters
     ----------
-    name : such as `letters-8`; `datagen suite` lists all names.
+    name : such as `letters-9`; `datagen suite` lists all names.
     path : the folder of the dataset, new or to be resumed.
     workers, progress : as for `build`; the bytes do not depend on them.
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,11 +46,15 @@ FALLS = 0.55
 """Largest ratio of the last difference between runs to the one before it, at which the finest run may itself be
 chosen: without that decrease nothing says how large the remaining error is. Half of it asks for one more run nearly
 always."""
-REST, REST_AT_EDGES = 0.6, 1.7
+REST, SLOW_REST = 0.6, 1.7
 """Error of a cutting, relative to its difference from the one before: errors fall to about 0.4 from one cutting to
-the next, and 0.4 + 0.16 + … ≈ 0.6; and the same of pixels at edges. There elements and footprints are halved
-together, and errors fall as the cube root of what each may make, to 0.63: 0.63 + 0.63² + … = 1.7. With half of
-either, errors would be claimed too small."""
+the next, and 0.4 + 0.16 + … ≈ 0.6; and the same of pixels at edges and near surfaces. There elements and footprints
+are halved together, and errors fall as the cube root of what each may make, to 0.63: 0.63 + 0.63² + … = 1.7. With
+half of either, errors would be claimed too small."""
+NEAR = 0.05
+"""Relative change of a pair's light, when its footprints are quartered, from which on surfaces count as near the
+pixel. Half of it asks for finer elements of large pixels that do not need them; with twice as much, light of what
+touches a wall beside a pixel is claimed too precisely."""
 LOOKS = 4
 """Most runs with the coarsest cutting, each with other random points, in search of a group's first light. With half
 as many, the second cutting more often begins without a measure of a group's light."""
@@ -209,6 +214,18 @@ class Trial:
         tried = (lit[:, None] == self.pairs).all(axis=2).any(axis=1)
         return bool((squares > BRIGHTER**2 * squares[tried].max(axis=0, initial=0.0)).any())
 
+    @cached_property
+    def near(self) -> Bools:
+        """(n, G) whether a group has surfaces so near a pixel that its light depends on how large footprints are."""
+        if self.levels == 0:
+            return np.zeros((len(self.pairs), len(self.scale)), np.bool_)
+        cutting = np.where(self.by_rays, np.inf, COARSE)
+        # Chance and lobes would make a difference, too.
+        whole, quartered = (
+            self.gathered(cutting, k, 0, matt=True, clear=True).histogram.sum(axis=2) for k in (0, self.levels)
+        )
+        return np.asarray(np.abs(quartered - whole) > NEAR * quartered)
+
     @property
     def by_rays(self) -> Bools:
         """(G,) whether the light of all parts of a group comes by rays."""
@@ -220,14 +237,14 @@ class Trial:
 
     def gathered(
         self, cutting: Floats, levels: int, edge_levels: int | None = None, draw: Ints | None = None,
-        matt: bool = False,
+        matt: bool = False, clear: bool = False,
     ) -> Gathered:  # fmt: skip
         """The pairs' histograms (n, G, T), weighted so that their squares add up to those of all pairs; overflow; and
         the numbers of elements and rays of each group (G,).
 
         cutting : (G,) L2 error that one element may make. draw : (G,) index of the set of random points.
         levels, edge_levels : times that pixels which see one flat surface, and pixels at edges, are quartered.
-        matt : whether every surface is taken as Lambertian with its albedo.
+        matt, clear : whether every surface is taken as Lambertian with its albedo, and nothing to hide anything.
         """
         quarterings = levels, edge_levels
         if quarterings not in self.seen:
@@ -235,7 +252,7 @@ class Trial:
         draw = None if draw is None else draw[self.group]
         most_work = RUNAWAY * math.ceil(len(self.pairs) / TRIALS[1])
         result = self.gathering.gathered(
-            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt, most_work
+            self.pairs, self.seen[quarterings], cutting[self.group], self.group, draw, matt, clear, most_work
         )
         cells, rays = (
             np.bincount(self.group, work, len(cutting)).astype(np.int64) for work in (result.cells, result.rays)
@@ -362,8 +379,8 @@ class _Runs:
         difference = np.stack([(self.histograms[n - 1] - self.histograms[-1])[:, k] for k, n in finest], axis=1)
         trial = self.trial
         # Errors of rays are not those of elements.
-        slow = trial.gathering.at_edge[trial.pairs[:, 1]][:, None] & ~trial.by_rays
-        return np.asarray(difference * np.where(slow, REST_AT_EDGES, REST)[:, :, None])
+        slow = (trial.gathering.at_edge[trial.pairs[:, 1]][:, None] | trial.near) & ~trial.by_rays
+        return np.asarray(difference * np.where(slow, SLOW_REST, REST)[:, :, None])
 
     def differences(self) -> Floats:
         """(runs, G) L2 norm of each group's difference from the last run, and what the last one still lacks."""

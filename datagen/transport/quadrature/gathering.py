@@ -290,7 +290,7 @@ class Gathering:
 
     def gathered(
         self, pairs: Ints, seen: Iterable[Seen], error: Floats, row_of_part: Ints, draw: Ints | None = None,
-        matt: bool = False, most_work: int = int(np.iinfo(np.int64).max),
+        matt: bool = False, clear: bool = False, most_work: int = int(np.iinfo(np.int64).max),
     ) -> Gathered:  # fmt: skip
         """The light of pairs (n, 2) of laser point and pixel, by way of part k in row row_of_part[k].
 
@@ -298,6 +298,7 @@ class Gathering:
         error : (K,) L2 error that one element of each part may make, photons; infinite for parts to be left out.
         draw : (K,) index of the set of random points on each part; zeros if None.
         matt : whether every surface is taken as Lambertian with its albedo.
+        clear : whether nothing is taken to hide anything.
         most_work : elements and shadow rays beyond which `TooMuchWork` is raised.
         """
         task, parts, rows = self.task, len(error), int(row_of_part.max()) + 1
@@ -308,8 +309,8 @@ class Gathering:
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
         cutting = Cutting(
-            error, sharp, self.peak, task.accuracy.occlusion != "off", task.accuracy.occlusion == "auto",
-            seed.astype(np.int64),
+            error, sharp, self.peak, task.accuracy.occlusion != "off" and not clear,
+            task.accuracy.occlusion == "auto", seed.astype(np.int64),
         )  # fmt: skip
         room = Room.new()
         for batch in seen:
