@@ -15,7 +15,7 @@ Clusters of small triangles, whose light would be lost in the rest, are seen thr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,9 +85,13 @@ def _squares(rows: list[Floats], group: Ints) -> Floats:
     group : (K,) index of each part's group.
     """
     of_groups = [np.flatnonzero(group == g) if len(rows) > 1 else [0] for g in range(group.max() + 1)]
-    # A sum at a time: histograms of a large scan take gigabytes.
-    light = (sum((rows[k] for k in some[1:]), start=rows[some[0]]) for some in [range(len(rows)), *of_groups])
-    return np.stack([np.einsum("lpt,lpt->lp", of, of).ravel() for of in light], axis=1)
+
+    def square(some: Sequence[int] | Ints) -> Floats:
+        # A sum at a time: histograms of a large scan take gigabytes. A group may have no parts.
+        light = sum((rows[k] for k in some), start=np.zeros((1, 1, 1)))
+        return np.broadcast_to(np.einsum("lpt,lpt->lp", light, light), rows[0].shape[:2]).ravel()
+
+    return np.stack([square(some) for some in [range(len(rows)), *of_groups]], axis=1)
 
 
 def _tried(trial: Trial, asked: Asked, pairs: int) -> tuple[Trial, Choice, Quartering] | None:
