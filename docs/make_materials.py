@@ -6,28 +6,28 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scene_library.materials import MATERIALS, CatalogueMaterial
-from scene_library.reflectances import REFUSED, SAMPLES, WAVELENGTHS_NM
+from scene_library.reflectances import REFUSED, WAVELENGTHS_NM
 
 PAGE = Path(__file__).with_name("materials.md")
 INTRODUCTION = """\
 # Materials
 
-For everyone who names materials in a configuration. This page is generated from `scene_library/materials.py` by
-`make docs`.
+For everyone who names materials in a configuration. `make docs` generates this page from `scene_library/materials.py`.
 
 A material's albedo is its hemispherical reflectance at `scene.wavelength_nm`: the mean below, moved by a random tint
 that is uniform within ± the spread (narrowed where it would pass 0 or 100 %). Between the listed wavelengths both are
 linear, which misses what lies between them: the red edge of leaves near 700 nm, and the bands of water near 970 and
 1450 nm. Other wavelengths than 532 to 1550 nm are refused. The lobes (`brdf: {kind: catalogue}`) are estimates for
-every material, the same at every wavelength.
+every material, the same at every wavelength. Reflectances and spreads are in percent, wavelengths in nm.
 """
 MEASURED = """\
 ## Measured
 
-The mean of the samples named. The spread is half of their range where there are several, and an estimate for a
-single one. `Fresnel` is the reflectance of a clean, smooth metal at normal incidence, from its optical constants.
-Sources: SLUM, Kotthaus et al., ISPRS J. 94, 194 (2014), doi 10.5281/zenodo.4263842; ECOSTRESS spectral library,
-courtesy of the Jet Propulsion Laboratory; NASA TN D-5353 (1969).
+The mean of the samples named; `scene_library/reflectances.py` describes the samples. The spread is half of their range
+where there are several, and an estimate for a single one. `Fresnel` is the reflectance of a clean, smooth metal at
+normal incidence, from its optical constants. Sources: SLUM (letter and number), Kotthaus et al., ISPRS J. 94, 194
+(2014), doi 10.5281/zenodo.4263842; ECOSTRESS spectral library, courtesy of the Jet Propulsion Laboratory; NASA TN
+D-5353 (1969).
 """
 ESTIMATED = """\
 ## Estimated
@@ -47,16 +47,16 @@ def page() -> str:
 
 
 def _table(rows: list[CatalogueMaterial], last: str = "") -> Iterator[str]:
-    heads = ["`material`", *(f"{wavelength:g} nm" for wavelength in WAVELENGTHS_NM), "spread", last]
+    heads = ["`material`", *(f"{wavelength:g}" for wavelength in WAVELENGTHS_NM), "spread", last]
     heads = [head for head in heads if head]
     yield f"| {' | '.join(heads)} |"
     yield f"|---|{'---:|' * (len(WAVELENGTHS_NM) + 1)}{'---|' if last else ''}"
     for row in rows:
         low, high = (f"{100 * share:.0f}" for share in (min(row.spread), max(row.spread)))
-        spread = f"± {low} %" if low == high else f"± {low} to {high} %"
-        cells = [f"`{row.name}`", *(f"{100 * value:.0f} %" for value in row.reflectance), spread]
-        described = (f"{name} ({SAMPLES[name].description})" for name in row.samples)
-        yield f"| {' | '.join([*cells, '; '.join(described)] if last else cells)} |"
+        spread = low if low == high else f"{low}–{high}"
+        cells = [f"`{row.name}`", *(f"{100 * value:.0f}" for value in row.reflectance), spread]
+        samples = "; ".join(name.removeprefix("SLUM ") for name in row.samples)
+        yield f"| {' | '.join([*cells, samples] if last else cells)} |"
 
 
 if __name__ == "__main__":
