@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from scene_library.materials import MATERIALS, CatalogueMaterial
-from scene_library.reflectances import REFUSED, WAVELENGTHS_NM
+from scene_library.reflectances import WAVELENGTHS_NM
 
 PAGE = Path(__file__).with_name("materials.md")
 INTRODUCTION = """\
@@ -23,11 +23,10 @@ every material, the same at every wavelength. Reflectances and spreads are in pe
 MEASURED = """\
 ## Measured
 
-The mean of the samples named; `scene_library/reflectances.py` describes the samples. The spread is half of their range
-where there are several, and an estimate for a single one. `Fresnel` is the reflectance of a clean, smooth metal at
-normal incidence, from its optical constants. Sources: SLUM (letter and number), Kotthaus et al., ISPRS J. 94, 194
-(2014), doi 10.5281/zenodo.4263842; ECOSTRESS spectral library, courtesy of the Jet Propulsion Laboratory; NASA TN
-D-5353 (1969).
+The mean of one to three samples, which `scene_library/materials.py` names for each material. The spread is half of their
+range where there are several, and an estimate for a single one. Sources: SLUM, Kotthaus et al., ISPRS J. 94, 194 (2014),
+doi 10.5281/zenodo.4263842; ECOSTRESS spectral library, courtesy of the Jet Propulsion Laboratory; NASA TN D-5353 (1969);
+for five polished metals also Fresnel's equations with published optical constants.
 """
 ESTIMATED = """\
 ## Estimated
@@ -39,24 +38,20 @@ No sample of these materials was at hand. `scene_library/materials.py` says what
 def page() -> str:
     """The whole page."""
     rows = MATERIALS.values()
-    measured = _table([row for row in rows if row.origin == "measured"], "samples")
+    measured = _table([row for row in rows if row.origin == "measured"])
     estimated = _table([row for row in rows if row.origin == "estimate"])
-    refused = [f"- {name}: {why}." for name, why in REFUSED.items()]
-    refused.insert(0, "## Refused\n\nSamples of the same libraries that the catalogue does not use.\n")
-    return "\n".join([INTRODUCTION, MEASURED, *measured, "", ESTIMATED, *estimated, "", *refused, ""])
+    return "\n".join([INTRODUCTION, MEASURED, *measured, "", ESTIMATED, *estimated, ""])
 
 
-def _table(rows: list[CatalogueMaterial], last: str = "") -> Iterator[str]:
-    heads = ["`material`", *(f"{wavelength:g}" for wavelength in WAVELENGTHS_NM), "spread", last]
-    heads = [head for head in heads if head]
+def _table(rows: list[CatalogueMaterial]) -> Iterator[str]:
+    heads = ["`material`", *(f"{wavelength:g}" for wavelength in WAVELENGTHS_NM), "spread"]
     yield f"| {' | '.join(heads)} |"
-    yield f"|---|{'---:|' * (len(WAVELENGTHS_NM) + 1)}{'---|' if last else ''}"
+    yield f"|---|{'---:|' * (len(WAVELENGTHS_NM) + 1)}"
     for row in rows:
         low, high = (f"{100 * share:.0f}" for share in (min(row.spread), max(row.spread)))
         spread = low if low == high else f"{low}–{high}"
         cells = [f"`{row.name}`", *(f"{100 * value:.0f}" for value in row.reflectance), spread]
-        samples = "; ".join(name.removeprefix("SLUM ") for name in row.samples)
-        yield f"| {' | '.join([*cells, samples] if last else cells)} |"
+        yield f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -10,6 +10,11 @@ numbers are quoted from
 - NASA: Spisz, Weigund, Bowmun, Juck, NASA TN D-5353 (1969), Table II a: polished metals at 294 K in an integrating
   sphere.
 
+Samples of these libraries that are not used: SLUM samples without a description, whose letter gives the kind alone (a
+brick, a metal); ECOSTRESS galvanized.steel.metal, darker (3 to 8 % up to 1064 nm) than any zinc coating one meets; NASA
+titanium, whose 21 % at 532 nm are not the bare metal (n and k of Johnson & Christy (1974) give 58 %); NASA molybdenum,
+platinum, tantalum and vanadium, which are no surfaces of rooms.
+
 The samples named `Fresnel` are clean, smooth metals, by Fresnel's equations from published optical constants.
 """
 
@@ -126,12 +131,4 @@ SAMPLES: Mapping[str, Sample] = {
        for metal, of in OPTICAL_CONSTANTS.items()},
 }
 """Source and number of a sample → the sample."""
-
-REFUSED: Mapping[str, str] = {
-    "SLUM samples without a description": "their letter gives the kind alone (a brick, a metal), not the material",
-    "ECOSTRESS galvanized.steel.metal": "3 to 8 % up to 1064 nm: darker than any zinc coating one meets",
-    "NASA titanium": "21 % at 532 nm where n and k of Johnson & Christy (1974) give 58 %: not the bare metal",
-    "NASA molybdenum, platinum, tantalum, vanadium": "plausible, but no surfaces of rooms",
-}
-"""Samples of these libraries that the catalogue does not use → why."""
 # fmt: on
