@@ -1,6 +1,6 @@
 """How far objects stand out of the noise in the first scenes of configurations, as a build stores it.
 
-`python tests/benchmarks/evidence.py SCENES TARGET CONFIG…` prints the table of docs/physics.md: of the first SCENES
+`python tests/benchmarks/evidence.py SCENES TARGET CONFIG…` prints the figures of docs/figures.md: of the first SCENES
 scenes of each CONFIG, their light to an error of TARGET where the configured error is smaller, which is quicker.
 """
 
