@@ -25,10 +25,10 @@ help:
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fresh   drop compiled kernels, after an edit of one that others call (make test does it, too)"
-	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  the table of docs/figures.md"
+	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
-	@echo "make bench   the tables of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
+	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
 	@echo "             -forecasts, -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)

@@ -12,7 +12,7 @@ PAGE = Path(__file__).with_name("materials.md")
 INTRODUCTION = """\
 # Materials
 
-For everyone who names materials in a configuration. `make docs` generates this page from `scene_library/materials.py`.
+For everyone who names materials in a configuration. `make docs` makes this page from `scene_library/materials.py`.
 
 A material's albedo is its hemispherical reflectance at `scene.wavelength_nm`: the mean below, moved by a random tint
 that is uniform within ± the spread (narrowed where it would pass 0 or 100 %). Between the listed wavelengths both are
@@ -23,10 +23,10 @@ every material, the same at every wavelength. Reflectances and spreads are in pe
 MEASURED = """\
 ## Measured
 
-The mean of one to three samples, which `scene_library/materials.py` names for each material. The spread is half of their
-range where there are several, and an estimate for a single one. Sources: SLUM, Kotthaus et al., ISPRS J. 94, 194 (2014),
-doi 10.5281/zenodo.4263842; ECOSTRESS spectral library, courtesy of the Jet Propulsion Laboratory; NASA TN D-5353 (1969);
-for five polished metals also Fresnel's equations with published optical constants.
+The mean of one to three samples, which `scene_library/materials.py` names for each material. The spread is half of
+their range where there are several, and an estimate for a single one. Sources: SLUM, Kotthaus et al., ISPRS J. 94,
+194 (2014), doi 10.5281/zenodo.4263842; ECOSTRESS spectral library, courtesy of the Jet Propulsion Laboratory; NASA
+TN D-5353 (1969); for five polished metals also Fresnel's equations with published optical constants.
 """
 ESTIMATED = """\
 ## Estimated

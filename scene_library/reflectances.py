@@ -10,10 +10,10 @@ numbers are quoted from
 - NASA: Spisz, Weigund, Bowmun, Juck, NASA TN D-5353 (1969), Table II a: polished metals at 294 K in an integrating
   sphere.
 
-Samples of these libraries that are not used: SLUM samples without a description, whose letter gives the kind alone (a
-brick, a metal); ECOSTRESS galvanized.steel.metal, darker (3 to 8 % up to 1064 nm) than any zinc coating one meets; NASA
-titanium, whose 21 % at 532 nm are not the bare metal (n and k of Johnson & Christy (1974) give 58 %); NASA molybdenum,
-platinum, tantalum and vanadium, which are no surfaces of rooms.
+Samples of these libraries that are not used: SLUM samples without a description, whose letter gives the kind alone
+(a brick, a metal); ECOSTRESS galvanized.steel.metal, darker (3 to 8 % up to 1064 nm) than any zinc coating one
+meets; NASA titanium, whose 21 % at 532 nm are not the bare metal (n and k of Johnson & Christy (1974) give 58 %);
+NASA molybdenum, platinum, tantalum and vanadium, which are no surfaces of rooms.
 
 The samples named `Fresnel` are clean, smooth metals, by Fresnel's equations from published optical constants.
 """

@@ -1,6 +1,6 @@
 """What a histogram costs: every sampler at several fluxes, 1024 bins and 10⁶ cycles.
 
-`python tests/benchmarks/detector.py` prints the table of docs/figures.md. Beside our samplers, in the same run, the
+`python tests/benchmarks/detector.py` prints the figures of docs/figures.md. Beside our samplers, in the same run, the
 plain simulation: every photon drawn, sorted, and put to the detector's rule one by one (afterpulses left out).
 """
 

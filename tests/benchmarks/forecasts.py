@@ -1,6 +1,6 @@
 """Whether a plan comes true: pilots of each configuration, then its first scenes made as a worker does.
 
-`python tests/benchmarks/forecasts.py SCENES SECONDS CONFIG…` prints the table of docs/figures.md: pilots of SECONDS
+`python tests/benchmarks/forecasts.py SCENES SECONDS CONFIG…` prints the figures of docs/figures.md: pilots of SECONDS
 processor seconds, then SCENES scenes. Only one of the pilots, which are spread over the dataset, is among those.
 Processor seconds of pilots and scenes alike, because the clock of a busy machine says little; what a worker's start
 takes is left out.

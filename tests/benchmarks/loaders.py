@@ -1,7 +1,7 @@
 """Samples a second of torch loaders, on the same counts: ours, and what others keep such data in.
 
-`python tests/benchmarks/loaders.py` prints the tables of docs/figures.md. Counts are Poisson with 97 % of bins empty,
-uint16. Each way hands over batches of a shuffled epoch (WebDataset: in order, as it must), by torch's own
+`python tests/benchmarks/loaders.py` prints the figures of docs/figures.md. Counts are Poisson with 97 % of bins
+empty, uint16. Each way hands over batches of a shuffled epoch (WebDataset: in order, as it must), by torch's own
 `DataLoader` and nothing tuned, in this process and from two workers that live on. All ways take turns, epoch by
 epoch, so that a busy machine disturbs all alike. Files are in the page cache. The first epoch opens files, and ours
 compares every value with its digest, once. `pip install 'nlos-datagen[loaders]'` brings the others.

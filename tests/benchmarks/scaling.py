@@ -1,6 +1,6 @@
 """What a transient costs as each size of the problem grows, and the peak memory of two large scans.
 
-`python tests/benchmarks/scaling.py` prints the tables of docs/figures.md. One size is varied at a time about one
+`python tests/benchmarks/scaling.py` prints the figures of docs/figures.md. One size is varied at a time about one
 problem in a furnished room (for the full secondary, the paper's N lookins, Ñ observed points and FoV points). The
 exponent is the slope of log seconds against log size over the larger half of the sizes, where fixed costs no longer
 hide it; an exponent of at most 1 is what is claimed. Peak memory is measured in processes of their own.

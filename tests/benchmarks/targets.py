@@ -1,6 +1,6 @@
 """Whether `Accuracy(target=…)` keeps its promise, and at what cost, on random scenes and captures.
 
-`python tests/benchmarks/targets.py SCENES FIRST COST` prints the table of docs/figures.md.
+`python tests/benchmarks/targets.py SCENES FIRST COST` prints the figures of docs/figures.md.
 
 *Error*: relative L2 of a run with a target, against a long run of another seed (the truth) with `TRUTH` of the
 smallest target, whose own expected squared error is subtracted.

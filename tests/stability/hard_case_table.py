@@ -1,4 +1,4 @@
-"""The table of docs/figures.md: `python tests/stability/hard_case_table.py`.
+"""Prints the hard cases that docs/figures.md names: `python tests/stability/hard_case_table.py`.
 
 Every case is measured anew; the tests hold the same numbers against their limits.
 """

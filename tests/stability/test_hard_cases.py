@@ -1,4 +1,4 @@
-"""Every row of docs/figures.md: our error within its limit, the naive way's beyond it."""
+"""Every hard case of `make hard-cases`: our error within its limit, the naive way's beyond it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Costs of reading: `python tests/store/reading_costs.py` prints the figures of docs/datasets.md.
+"""Costs of reading: `python tests/store/reading_costs.py` prints what reading and checking costs.
 
 Processor milliseconds, medians over samples and epochs: checks of a sample of 1024 × 512 counts, and parts of a
 sample of 64 × 64 × 1024 counts (3 % of bins filled).
