@@ -20,8 +20,6 @@ FIELDS = ("depth", "part_id", "object_part", "object_box_center", "occupancy", "
 class SuiteScenes:
     """The scenes of one split.
 
-    Attributes
-    ----------
     root : the dataset.
     scene : (N,) indices of the scenes.
     histogram : (N, laser, pixel, bin) counts.

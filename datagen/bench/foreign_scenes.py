@@ -39,8 +39,6 @@ Generator = np.random.Generator
 class ForeignScene:
     """A scene, its capture, and its ingredients in words, for reports.
 
-    Attributes
-    ----------
     max_bounces : 3 or 4.
     shapes, brdfs : object part → name of its shape, and of its BRDF.
     surroundings : "open", "floor" or "room".

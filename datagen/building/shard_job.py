@@ -47,8 +47,6 @@ Half as many would be close to that on a busy machine."""
 class ShardJob:
     """The input of a job, as it is sent to a worker.
 
-    Attributes
-    ----------
     root : the dataset's folder.
     skip : scene that must not be tried → reason.
     handed_out : Unix time at which the job was submitted.

@@ -45,8 +45,6 @@ PILOTS = 64
 class _Pilot:
     """The objects of a pilot scene under its detector, in one cycle.
 
-    Attributes
-    ----------
     counter_max : of the detector. rate_hz : laser pulses per second.
     counts : (n,) expected counts of the n bins of all histograms, in descending order.
     squares : object → (n,) Σ s²/b of each of these bins and all fainter ones.

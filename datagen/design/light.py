@@ -23,8 +23,6 @@ from datagen.transport.visibility.raycast import Raycaster
 class Light:
     """The arguments of the transport.
 
-    Attributes
-    ----------
     scene, accuracy : scene and accuracy without the effects that are left out.
     seed : seed of the scene's own random stream.
     caster : of the scene's triangles, if there is one already.

@@ -265,8 +265,6 @@ def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
 class Equilibrium:
     """The state of a free-running detector long after it was switched on.
 
-    Attributes
-    ----------
     flux : (n,) events per cycle and bin. pieces : the bins cut into pieces, and the dead time.
     detections : (m,) expected detections per cycle and piece.
     armed : probability that the diode is armed at phase 0.
@@ -293,8 +291,6 @@ def equilibrium(
     one cycle's recursion. A moderate flux reaches it in a few cycles from a guess near equilibrium. A high flux keeps
     detections in step for very many cycles, so its fixed point is found from sparse linear equations.
 
-    Parameters
-    ----------
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
     width_s : bins longer than this are background, cut more finely.
     shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.

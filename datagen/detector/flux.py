@@ -33,8 +33,6 @@ _RAMP_PIECES = 16
 class Cycle:
     """One laser period cut into n bins; phase 0 is the start of the time axis.
 
-    Attributes
-    ----------
     period_s, width_s : the laser period; the width of a recorded bin.
     edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin, on
         the lattice of the TDC (multiples of the bin width). Then come long background bins, if any. The last `back`
@@ -193,8 +191,6 @@ def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
 class Fold:
     """The bins of the period in which bins of the lattice lie: most coincide with one, a few are split over several.
 
-    Attributes
-    ----------
     first : number of the first bin of the lattice.
     bins : number of bins of the period.
     aligned : numbers of the lattice bins that are copied whole, bin k of the lattice to bin k of the period.

@@ -28,8 +28,6 @@ a larger share of the time."""
 class Measurement:
     """The arguments of a call, checked, and what all its histograms share.
 
-    Attributes
-    ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     cycle, tdc : the laser period, and the converter of detections to records.
     first_laser, first_pixel : numbers of the first laser point and pixel.

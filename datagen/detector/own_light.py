@@ -36,8 +36,6 @@ exact mean is solved for from half the flux on."""
 class OwnLight:
     """Expected detections of a block of laser points.
 
-    Attributes
-    ----------
     first : number of the block's first laser point.
     everything : (laser, pixel, bin) expected detections over the exposure in the bins of a histogram, background
         included.

@@ -59,8 +59,6 @@ class Sampler(IntEnum):
 class SamplerChoice:
     """The samplers of a transient's histograms; numbers are those of the brightest histogram unless stated otherwise.
 
-    Attributes
-    ----------
     sampler : name of the sampler of the brightest histogram.
     reason : why, in words.
     histograms : sampler name → number of histograms that it draws.
@@ -92,8 +90,6 @@ class SamplerChoice:
 class Choices:
     """How each of h histograms is drawn, or all pixels of each of h laser points if crosstalk couples them.
 
-    Attributes
-    ----------
     sampler : (h,) values of `Sampler`.
     in_order : (h,) whether the detections of a synchronous detector are so few that they are drawn one by one.
     flux, bias, deviation, detections : (h,) as of `SamplerChoice`.

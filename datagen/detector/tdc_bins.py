@@ -80,8 +80,6 @@ def tdc_widths(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
 class TdcBins:
     """The sorting of records into the bins of the TDC.
 
-    Attributes
-    ----------
     pieces : number of pieces of a bin of the time axis.
     from_s : (n + 1,) edges of these pieces, in the window.
     to_s : (pixel or 1, window + 1) edges of the TDC's bins of each pixel.

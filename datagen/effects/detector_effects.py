@@ -36,8 +36,6 @@ so that its bound is not computed. Halved, a tolerance of 0.1 leaves it out less
 class Detection:
     """A transient, and the detector whose counts of it are simulated.
 
-    Attributes
-    ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may have.
     """

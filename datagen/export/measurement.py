@@ -22,8 +22,6 @@ class WallFrame:
     """Coordinates with the relay wall at z = 0 and the hidden part at z > 0, x to the right and y up as seen from the
     room, metres.
 
-    Attributes
-    ----------
     origin : (3,) origin of this frame, in the scene's frame.
     axes : (3, 3) rows are the unit vectors right, up, and into the room.
     """
@@ -40,8 +38,6 @@ class WallFrame:
 class Measurement:
     """A measurement in the frame of the relay wall.
 
-    Attributes
-    ----------
     values : (L, P, T) counts or photons; confocal: P = 1.
     quantity : one of `QUANTITIES`.
     time : bin i covers [start + i width, start + (i + 1) width).
@@ -79,8 +75,6 @@ class Measurement:
 def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement:
     """A stored scene as a measurement.
 
-    Parameters
-    ----------
     quantity : one of `QUANTITIES`; left out: the first of these that the dataset has.
 
     Raises

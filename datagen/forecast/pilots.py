@@ -54,8 +54,6 @@ SampleFunction = Callable[[DatasetConfig, int], Sample]
 class Pilot:
     """One pilot scene.
 
-    Attributes
-    ----------
     effort : fraction of the configured paths (or of those that the configured target needs) that were simulated.
     seconds : stage → wall-clock seconds. processor_s : of all stages together.
     error : estimated relative L2 error of its transient; NaN when nothing estimates it.
@@ -111,8 +109,6 @@ class Pilot:
 class Pilots:
     """The measurements of all pilots.
 
-    Attributes
-    ----------
     scenes : the pilot scenes, or the single trial; their seconds contain the stage "store".
     failed : scene → reason why it could not be made.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.

@@ -35,8 +35,6 @@ _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 class Recording:
     """One capture, in the file's own frame, metres.
 
-    Attributes
-    ----------
     path : the file.
     values : (L, P, T) counts or light, as in the file; paired: (L, 1, T).
     paired : whether pixel i was measured with laser point i alone (a confocal scan).

@@ -26,8 +26,6 @@ NO_OBJECT = -1
 class ObjectBoxes:
     """The objects of one scene in the order of its parts; rows beyond `count` hold no object.
 
-    Attributes
-    ----------
     count : number of objects.
     label : (K,) int16 class, an index into the dataset's list of classes; −1 in rows without an object.
     part : (K,) int16 index into `Scene.part_names`, as in the label `part_id`; −1 in rows without an object.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from datagen.labels.raster import first_hits, hidden_pixels
@@ -146,8 +147,6 @@ def to_pixels(scene: Scene, camera: Camera, faces: Ints, pixels: int) -> tuple[F
 
 def shaded(scene: Scene, camera: Camera, faces: Ints, colors: dict[str, str], pixels: int) -> Shaded:
     """A picture of the faces in their parts' colours, transparent where there is none, and its extent."""
-    from matplotlib.colors import to_rgb
-
     if len(faces) == 0:
         return np.zeros((2, 2, 4)), (0.0, 1.0, 0.0, 1.0)
     triangles, rows, columns, extent = to_pixels(scene, camera, faces, 2 * pixels)

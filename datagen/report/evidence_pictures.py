@@ -8,9 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from datagen.records import Scalar, Scene, TimeAxis
 from datagen.records.arrays import Floats
@@ -18,10 +20,6 @@ from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note, part_colors
 from datagen.report.time_plots import busy_window, time_label
 from datagen.store.summaries import LEAST, evidence_by_kind, evidence_lines, significance_by_kind
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FAINT = 1.0
 """Significance, in standard deviations, under which an object is as good as absent."""

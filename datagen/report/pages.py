@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
@@ -20,9 +21,6 @@ from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, dra
 from datagen.report.style import captioned
 from datagen.report.time_plots import busy_window, clear_channel
 from datagen.store.summaries import OVER_M
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 UNDIVIDED = "all light"
 """Name of the only layer where light is not split by part."""

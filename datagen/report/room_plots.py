@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
@@ -15,11 +21,6 @@ from datagen.records.arrays import Floats, Ints
 from datagen.report import cutaway
 from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
 
 _ELEVATION_DEG = 42.0
 _AZIMUTHS_DEG = (-55.0, -30.0, 30.0, 55.0)
@@ -141,9 +142,6 @@ def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: Ints) -> flo
 
 def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6) -> Legend:
     """A legend of the parts and marks that plan or opened room show, filling `axes`."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     scene = room.scene
     # The ceiling is off in both.
     shown = np.setdiff1d(np.arange(len(scene.triangles)), room_faces(scene)[2])
@@ -174,8 +172,6 @@ def _show(axes: Axes, picture: Shaded) -> None:
 
 
 def _lines(axes: Axes, segments: Floats, **style: object) -> None:
-    from matplotlib.collections import LineCollection
-
     if len(segments):
         axes.add_collection(LineCollection(list(segments), capstyle="round", **style), autolim=True)  # type: ignore[arg-type]
 
@@ -206,7 +202,6 @@ def _mark_boxes(axes: Axes, room: RoomPicture, camera: Camera) -> None:
 
 
 def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
-    from matplotlib.collections import PolyCollection
     from scipy.spatial import ConvexHull, QhullError
 
     if room.capture is not None:
@@ -236,7 +231,6 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
 
 def _dots(axes: Axes, points: Floats, extent: float) -> None:
     """Dots that grow with the picture, and leave gaps where points are dense."""
-    from matplotlib.collections import EllipseCollection
     from scipy.spatial import KDTree
 
     places = np.unique(np.round(points / (1e-6 * extent)), axis=0) * (1e-6 * extent)

@@ -6,9 +6,10 @@ They show stored values only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from datagen.config import DatasetConfig, time_axes
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
@@ -21,10 +22,6 @@ from datagen.report.label_plots import labels_figure
 from datagen.report.replay import StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 QUANTITIES = ("histogram", "transient")
 _MOMENTS = 4

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure, FigureBase
 
 from datagen.labels import ViewFrame
 from datagen.records import Capture, Rectangle, TimeAxis
 from datagen.records.arrays import Floats, Ints
 from datagen.report.style import LASER, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, FigureBase
 
 _COLORS = "magma"
 _DECADES = 3.5
@@ -99,8 +98,6 @@ def draw_time_slice(
     unit: str = "photons per emitted photon and bin",
 ) -> None:
     """One row of the scan: place on the wall across, time down, the logarithm of the signal as brightness."""
-    from matplotlib.colors import LogNorm
-
     edges = time.edges_s * 1e9
     across = _reach(raster.x_m)
     axes.set(xlabel="place along the row (m to the right)", ylabel=time_label(time))

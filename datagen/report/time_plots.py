@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from datagen.records import Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.report.style import EXPECTED, INK, empty_note, part_colors
 from datagen.units import path_from_time
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _DECADES = 5.0
 _COUNTS = "#9A9A9A"

@@ -59,8 +59,6 @@ class DamagedManifest(InputError):
 class Manifest:
     """The content of `dataset.json`.
 
-    Attributes
-    ----------
     config : the configuration as plain values, with the key names of its `schema_version`.
     meshes : mesh file → digest of its bytes.
     mesh_folder : the folder from which relative mesh paths start; None without such paths, so that no machine's paths

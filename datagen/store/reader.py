@@ -74,8 +74,6 @@ class Part:
 class DatasetReader:
     """Reads the values of a dataset. Several threads must not share a reader; a forked process may use it.
 
-    Parameters
-    ----------
     fields : names of the fields that will be read.
     check : compare every value with its digest when it is first read, and file sizes with the commit record. Without
         it missing and damaged files are still found, by their checksums, but not files that were exchanged.

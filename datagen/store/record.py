@@ -54,8 +54,6 @@ class FileRecord:
 class ShardRecord:
     """A committed shard: its files, its scenes, and the environment in which it was made.
 
-    Attributes
-    ----------
     first_scene, last_scene : its first scene and its last one.
     fingerprint : of the configuration that it was made with.
     files : path relative to the dataset → hash and size.

@@ -36,8 +36,6 @@ Parameters = Iterable[Mapping[str, object]]
 class KindEvidence:
     """The significance of all objects of one kind.
 
-    Attributes
-    ----------
     kind : name in `scene.contents`.
     objects : number of objects.
     median : of their significance.

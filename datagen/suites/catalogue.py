@@ -30,8 +30,6 @@ PINNED = FOLDER / "digests.json"
 class Suite:
     """A benchmark suite.
 
-    Attributes
-    ----------
     name : its name with the version, such as `letters-9`. The bytes of a name never change.
     digest : hex SHA-256 of all its values as published (`datagen digest`).
     """
