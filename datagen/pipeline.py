@@ -238,10 +238,12 @@ def _parameters(
     transient: Transient, evidence: Mapping[str, Evidence], counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:  # fmt: skip
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
+    # The position of the scan on the label images.
+    place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
     return {
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
-        **_label_place(scene, transient),
+        **({} if place is None else dict(zip(SCAN_PLACE, place, strict=True))),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
         **effects.parameters(),
@@ -255,12 +257,6 @@ def _parameters(
         **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
-
-
-def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
-    """The position of the scan on the label images; empty for a scene without `hidden_view`."""
-    place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
-    return {} if place is None else dict(zip(SCAN_PLACE, place, strict=True))
 
 
 def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:

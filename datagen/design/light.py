@@ -59,17 +59,11 @@ def light_of(
 ) -> Light:  # fmt: skip
     """The arguments of the transport for scene `index`, given its `transport_effects` and its detector."""
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
-
-
-def _one_detection(spad: Spad, exposure: Exposure) -> float:
-    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
-
-    The error of an object with less light than this does not matter.
-    """
+    # Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average: the error
+    # of an object with less light than that does not matter.
     counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
-    return 1.0 / counted if counted > 0 else 0.0
+    accuracy = replace(accuracy, faint_part=1.0 / counted if counted > 0 else 0.0)
+    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
 
 
 COARSE_TARGET = 0.1

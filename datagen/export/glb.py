@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
-from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
@@ -93,18 +92,13 @@ def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
         if len(lit):
             dots = trimesh.PointCloud(lit, colors=[255, 40, 40, 255])
             world.add_geometry(dots, node_name="laser_points", geom_name="laser_points")
-        pixels = _outlines(placed["sensor_pixels"])
-        world.add_geometry(pixels, node_name="sensor_pixels", geom_name="sensor_pixels")
+        pixels = placed["sensor_pixels"]
+        ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+        outlines = trimesh.load_path(ends, process=False)
+        world.add_geometry(outlines, node_name="sensor_pixels", geom_name="sensor_pixels")
     world.apply_transform(_UP)
     found: bytes = world.export(file_type="glb")
     return found
-
-
-def _outlines(pixels: Floats) -> Any:
-    import trimesh
-
-    ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-    return trimesh.load_path(ends, process=False)
 
 
 def _look(material: Material, role: str) -> Any:

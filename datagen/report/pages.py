@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
 from datagen.records.arrays import Floats
@@ -17,7 +16,7 @@ from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_label, labels_figure
 from datagen.report.replay import Replay, StoredScene
-from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
+from datagen.report.room_plots import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
 from datagen.report.time_plots import busy_window, clear_channel
 from datagen.store.summaries import OVER_M
@@ -156,7 +155,9 @@ def overview_page(
     )
     if room.boxes is not None:
         text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
-    figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
+    # The legend has all parts and four marks.
+    legend_in = 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
+    figure, grid = captioned(15, [4.9, legend_in, 4.3], text, f"{stored.title}: overview", 6)
     raster = scans.raster_of(again.capture, channel, again.frame)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
     draw_plan(plan, room)
@@ -170,7 +171,7 @@ def overview_page(
         sliced = corner.add_subplot()
         scans.draw_time_slice(corner, sliced, scan, row, raster, time, scans.time_limits(scan, objects, time))
         sliced.set_title(f"Scan: time along row {row + 1} from the top")
-    draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
+    draw_legend(figure, figure.add_subplot(grid[1, :]), room)
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
     times.draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
@@ -184,17 +185,6 @@ def overview_page(
     # At the left of the column, which leaves space for the colour bar at the right.
     depth.set_anchor("W")
     return figure
-
-
-def _legend_in(again: Replay, columns: int) -> float:
-    """Height in inches of a legend of all parts and four marks."""
-    return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
-
-
-def labels_of(stored: StoredScene) -> list[str]:
-    """The labels to draw: those stored, the image of evidence with them, and depth in any case."""
-    names = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
-    return [name for name in names if name in stored.arrays or name == "depth"]
 
 
 def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, Floats]]:

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -26,6 +25,7 @@ _ELEVATION_DEG = 42.0
 _AZIMUTHS_DEG = (-55.0, -30.0, 30.0, 55.0)
 _MANY_PIXELS = 400
 HIDDEN_VIEW = "#117733"
+LEGEND_COLUMNS = 8
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: Ints) -> flo
     return share
 
 
-def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6) -> Legend:
+def draw_legend(figure: Figure, axes: Axes, room: RoomPicture) -> None:
     """A legend of the parts and marks that plan or opened room show, filling `axes`."""
     scene = room.scene
     # The ceiling is off in both.
@@ -158,9 +158,8 @@ def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6)
         label, dashed = "hidden view (window of the labels)", (0, (5, 2))
         handles.append(Line2D([], [], color=HIDDEN_VIEW, linewidth=1.6, linestyle=dashed, label=label))
     axes.set_axis_off()
-    legend = axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0, handlelength=1.6)
+    legend = axes.legend(handles=handles, loc="upper left", ncols=LEGEND_COLUMNS, borderaxespad=0, handlelength=1.6)
     legend.set_in_layout(False)
-    return legend
 
 
 def _marker(label: str) -> str:

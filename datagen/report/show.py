@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from datagen.labels import make_labels
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.report import pages as drawn
 from datagen.report.evidence_pictures import evidence_page
 from datagen.report.label_plots import boxes_of
@@ -53,7 +53,9 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
 
     To be used within `house_style()`.
     """
-    wanted = drawn.labels_of(stored)
+    # Depth is drawn in any case.
+    names_known = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
+    wanted = [name for name in names_known if name in stored.arrays or name == "depth"]
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}

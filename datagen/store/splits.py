@@ -35,13 +35,11 @@ def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list
     ends = np.cumsum(splits.shares)[:-1] - 1e-9
     dealt = np.searchsorted(ends, share, side="right")
     return [
-        None if scene is None else _held_out(scene, splits) or BY_SHARE[number]
+        None
+        if scene is None
+        else next((rule.name for rule in splits.held_out if _shows(scene, rule)), BY_SHARE[number])
         for scene, number in zip(scenes, dealt, strict=True)
     ]
-
-
-def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
-    return next((rule.name for rule in splits.held_out if _shows(parameters, rule)), None)
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:

@@ -55,11 +55,6 @@ class KindEvidence:
     within_m: float = math.nan
 
 
-def kind_of(part: str) -> str:
-    """The kind of an object, which is the name of its part without the number (box_2: box)."""
-    return re.sub(r"_\d+$", "", part)
-
-
 def evidence_by_kind(scenes: Parameters, together: str | None = None) -> list[KindEvidence]:
     """The evidence of each kind of object, in alphabetical order; empty if no evidence is stored.
 
@@ -83,7 +78,8 @@ def _objects_by_kind(scenes: Parameters, together: str | None = None) -> dict[st
             if match and isinstance(value, int | float):
                 away = parameters.get(f"{match[1]}.away_m")
                 one = float(value), float(away) if isinstance(away, float) else math.nan
-                kinds.setdefault(together or kind_of(match[1]), []).append(one)
+                # The kind is the name of the part without its number (box_2: box).
+                kinds.setdefault(together or re.sub(r"_\d+$", "", match[1]), []).append(one)
     return dict(sorted(kinds.items()))
 
 
