@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.export.measurement import Measurement, lattice, measurement
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path
 
@@ -45,7 +45,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
     savemat(path, variables | {"bin_resolution": m.time.width_s, "scene": scene.index}, do_compression=True)
 
 
-def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+def _confocal_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
     """Variables of a confocal grid; `place` is its `lattice`."""
     # Columns × rows with y ascending → rows from the top × columns.
     order = place.T[::-1]

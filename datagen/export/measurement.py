@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 
 _SAME_PLACE_M = 1e-9
@@ -129,7 +129,7 @@ def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Fl
     return np.where(np.isfinite(met), met, towards)
 
 
-def lattice(points: Floats) -> NDArray[np.int64] | None:
+def lattice(points: Floats) -> Ints | None:
     """(columns, rows) index of the point at each place of the grid that (N, 3) points form, x and y ascending; None
     if they form no grid."""
     extent = float(np.ptp(points[:, :2], axis=0).max())
@@ -137,12 +137,12 @@ def lattice(points: Floats) -> NDArray[np.int64] | None:
         columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))
         number = columns * (rows.max() + 1) + rows
         if (columns.max() + 1) * (rows.max() + 1) == len(points) == len(np.unique(number)):
-            found: NDArray[np.int64] = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
+            found: Ints = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
             return found
     return None
 
 
-def _clusters(values: Floats, gap: float) -> NDArray[np.int64]:
+def _clusters(values: Floats, gap: float) -> Ints:
     """(N,) the index of each value's group; groups lie more than `gap` apart."""
     order = np.argsort(values, kind="stable")
     groups = np.empty(len(values), np.int64)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError, printable
 from datagen.export.plain import h5py
 from datagen.importing.matlab5 import read_matlab5
+from datagen.records.arrays import Floats
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
@@ -60,7 +61,7 @@ class Content:
             )
         return float(value.reshape(-1)[0])
 
-    def points(self, name: str) -> NDArray[np.float64]:
+    def points(self, name: str) -> Floats:
         """(…, 3) a variable that holds points, metres; raises `InputError` for any other."""
         value = self.array(name)
         if value.ndim < 1 or value.shape[-1] != 3 or value.size == 0:
@@ -70,7 +71,7 @@ class Content:
             raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
         return points
 
-    def wall_normal(self, name: str) -> NDArray[np.float64]:
+    def wall_normal(self, name: str) -> Floats:
         """(3,) mean of a variable of normals of the relay wall; along z if the file has no such variable."""
         value = self.arrays.get(name, np.zeros(0))
         if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():

@@ -22,7 +22,7 @@ from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.importing.containers import FACING, Content, matlab_content
 from datagen.importing.recording import SAME, UNKNOWN, Recording, time_bins
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 _LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
 _GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
@@ -78,7 +78,7 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     )  # fmt: skip
 
 
-def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
+def _shifted(values: NDArray[Any], shifts: Ints, kept: int) -> NDArray[Any]:
     """(row, column, kept) the first `kept` bins of each point of the grid after its shift."""
     found = np.empty((*shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):
@@ -101,7 +101,7 @@ def _shifts(
     bin_width_ps: float,
     options: ImportOptions,
     delays: Path | None,
-) -> NDArray[np.int64]:
+) -> Ints:
     """(row, column) whole bins that light takes from the laser to the wall and back; 0 if times count from the
     wall."""
     if delays is not None:

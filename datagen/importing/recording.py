@@ -15,7 +15,7 @@ from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.measurement import WallFrame, lattice
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.records.sample import geometry_fields
 
 UNKNOWN = np.full(3, np.nan)
@@ -103,7 +103,7 @@ class Recording:
         )
 
 
-def _rows(points: Floats) -> NDArray[np.int64]:
+def _rows(points: Floats) -> Ints:
     """(N,) indices of points row by row from the top left; 0, 1, 2 … if they form no grid."""
     place = lattice(points)
     return np.arange(len(points)) if place is None else place.T[::-1].ravel()

@@ -25,6 +25,7 @@ from numcodecs import blosc
 from numpy.typing import NDArray
 
 from datagen.errors import CheckError
+from datagen.records.arrays import Bools, Ints
 from datagen.store.arrays import chunk_grid, shard_file
 from datagen.store.environment import cores
 from datagen.store.location import Location, read_range, size_of
@@ -57,7 +58,7 @@ class Part:
     last : a slice of step 1 along the last axis, which is never cut into chunks.
     """
 
-    axes: tuple[NDArray[np.int64], ...]
+    axes: tuple[Ints, ...]
     last: slice
 
     @property
@@ -82,7 +83,7 @@ class DatasetReader:
 
     def __init__(
         self, root: Location, manifest: Manifest, fields: Iterable[str], check: bool = True,
-        seen: Mapping[str, NDArray[np.bool_]] | None = None,
+        seen: Mapping[str, Bools] | None = None,
     ) -> None:  # fmt: skip
         self._root, self._manifest, self._schema = root, manifest, manifest.schema
         self._fields = {name: self._schema.by_name[name] for name in fields}

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.splits import BY_SHARE, HeldOut, SplitsConfig
 from datagen.records import Scalar
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, seed_sequence
 
 Parameters = Mapping[str, Scalar]
@@ -48,7 +48,7 @@ def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
     return tuple(sorted(own or parameters.items()))
 
 
-def _shares(scenes: int) -> NDArray[np.float64]:
+def _shares(scenes: int) -> Floats:
     """(scenes,) random numbers in 0 … 1; of ten in a row one lies in each tenth. The first numbers do not depend on
     `scenes`, so a dataset that grows keeps them."""
     blocks = -(-scenes // _BLOCK)
