@@ -181,8 +181,7 @@ def check_inputs(config: DatasetConfig) -> None:
 
 
 def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; volumes of meshes with
-    holes."""
+    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
@@ -200,8 +199,7 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
 
 
 def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if in many of the scenes tried most zones see things whose direct light arrives after the time axis
-    ends."""
+    """A warning if in many of the scenes tried most zones get their direct light after the time axis ends."""
     if not config.transport.direct or config.capture.time.origin != "source":
         return
     late = sum(share_of_late_zones(scene, capture) > 0.5 for scene, capture in tried)

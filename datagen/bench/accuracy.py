@@ -251,8 +251,7 @@ def converge(run: Run, accuracy: Accuracy, budget_s: float) -> Truth:
 
 
 def measure(setting: Setting, run: Run, truth: Truth, repeats: int, slowest_s: float) -> Row:
-    """The row of a setting, run `repeats` times with different seeds, or twice if a run takes longer than
-    `slowest_s`."""
+    """The row of a setting: `repeats` runs with different seeds, or two if one takes longer than `slowest_s`."""
     runs = list[tuple[Floats, float]]()
     while len(runs) < repeats and (len(runs) < 2 or runs[0][1] <= slowest_s):
         runs.append(run(setting.accuracy, 1 + len(runs)))
@@ -300,8 +299,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def advice(rows: Sequence[Row]) -> list[str]:
-    """Recommendations from the rows: the cheapest setting for each goal, and the biases that samples do not
-    reduce."""
+    """Recommendations: the cheapest setting for each goal, and the biases that samples do not reduce."""
     title = f"What to choose for {_light_of(rows)} (processor seconds a scene, error found):"
     return [title, "", *(_for_goal(rows, goal) for goal in GOALS), *_floors(rows)]
 

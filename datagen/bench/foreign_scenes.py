@@ -105,8 +105,7 @@ def _rectangle(center: Floats, right: Floats, up: Floats) -> trimesh.Trimesh:
 
 
 def _surroundings(rng: Generator, size: Floats, kind: str) -> list[Part]:
-    """The wall, and floor, walls and ceiling if there are any: one surface in five has any BRDF, the others are
-    matt."""
+    """The wall, and floor, walls and ceiling if there are any; one surface in five has any BRDF, others are matt."""
     middle, (x, y, z) = np.array([size[0] / 2, 0.0, size[2] / 2]), np.diag(size * [0.5, 0.5, 0.5])
 
     def matt() -> Material:

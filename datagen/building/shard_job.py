@@ -1,5 +1,4 @@
-"""The jobs of a worker: make all scenes of a shard, write the shard and commit it; or make one scene of a shard that
-several workers share."""
+"""The jobs of a worker: make, write and commit a shard; or make one scene of a shard that several workers share."""
 
 from __future__ import annotations
 
@@ -143,8 +142,7 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
 
 
 def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
-    """Scene → Unix time at which a worker began it, of the scenes of a shard that is not committed, in their
-    order."""
+    """Scene → Unix time at which a worker began it, in order, of the scenes of a shard that is not committed."""
     try:
         content = running_path(root, shard).read_bytes()
     except OSError:

@@ -39,8 +39,7 @@ class Light:
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
     def background(self) -> Transient:
-        """The transient of the scene without its objects, from the same random numbers: paths that no object touches
-        are the same."""
+        """The transient of the scene without its objects, from the same random numbers: other paths stay the same."""
         empty = self.scene.without(*self.scene.objects)
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 

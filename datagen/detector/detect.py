@@ -67,11 +67,10 @@ def detect(
     >>> counts.shape, counts.dtype.name, bool(900 < counts.sum() < 2100)
     ((4,), 'int64', True)
     """
-    counts, _ = detect_and_choice(
+    return detect_and_choice(
         transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
         first_pixel=first_pixel, dtype=dtype,
-    )  # fmt: skip
-    return counts
+    )[0]  # fmt: skip
 
 
 def detect_and_choice(

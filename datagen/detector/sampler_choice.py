@@ -133,7 +133,10 @@ def choose(
         )  # fmt: skip
         chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
         if len(chained):
-            in_order[chained] = _in_order(totals[chained], detections[chained], cycle, spad)
+            # A chain cuts bins by their flux, and into pieces shorter than the dead time.
+            pieces = len(cycle.gate) + totals[chained] / PIECE_FLUX + cycle.period_s / spad.dead_time_s
+            few = detections[chained]
+            in_order[chained] = (few * _EVENT_NS < pieces * _CHAIN_NS) & (few <= MOST_EVENTS)
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
     if len(uncountable):
         check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
@@ -183,13 +186,6 @@ def _check_few(events: Floats, where: Where, what: str, remedy: str) -> None:
         raise InputError(
             f"{where(int(row))}: {events[row]:.2g} {what}, at most {MOST_EVENTS:.0e} are drawn one by one{remedy}"
         )
-
-
-def _in_order(totals: Floats, detections: Floats, cycle: Cycle, spad: Spad) -> Bools:
-    """(h,) whether a synchronous detector's detections take less time one by one than bin by bin."""
-    # A chain cuts bins by their flux, and into pieces shorter than the dead time.
-    pieces = len(cycle.gate) + totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s
-    return np.asarray((detections * _EVENT_NS < pieces * _CHAIN_NS) & (detections <= MOST_EVENTS))
 
 
 def poisson_bias(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:

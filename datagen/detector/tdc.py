@@ -62,16 +62,14 @@ class Tdc:
         return self._unequal.mean(self._joined(records), pixels)
 
     def draw(self, detections: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
-        """(…, bins) records of detections (…, n): a multinomial number for each bin, from streams (…, 4); `pixels` as
-        of `mean`."""
+        """(…, bins) records of detections (…, n), multinomial, from streams (…, 4); `pixels` as of `mean`."""
         if self._unequal is None:
             return self._draw_in_equal_bins(detections, streams)
         records = [self._draw_in_equal_bins(part, streams) for part in self._by_piece(detections)]
         return self._unequal.draw(self._joined(records), streams, pixels)
 
     def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
-        """For each piece of a bin the (…, n) detections in that piece of every bin. Bins that are not cut count as
-        the middle piece."""
+        """For each piece of a bin its (…, n) detections in all bins; whole bins count as the middle one."""
         if self._pieces == 1:
             return [detections]
         parts = self._cycle.parts(self._pieces)

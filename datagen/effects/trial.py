@@ -39,16 +39,14 @@ from datagen.transport.visibility.raycast import Raycaster
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take. Halved, its estimates are noisier and leave out less."""
 LARGEST_SHARE = 0.1
-"""Share of the cost above which even the smallest trial run is not made. Halved, more small transports are simulated
-with all effects."""
+"""Share of the cost above which no trial run is made. Halved, more small transports have all effects."""
 OVERHEAD = 60_000.0
 """Fixed cost of a call, in shadow rays: preparing the scene, and tracing each order for few paths. Halved, two calls
 are made where one would be cheaper."""
 FEWEST_PATHS, MOST_PATHS = 512, 4096
 """Paths of each of the two runs, all channels together. With half as many the noise is 1.4 times as large."""
 LASERS, PIXELS = 32, 8
-"""Most laser points, and most pixels of each (exhaustive pairing). With half as many the error of the choice is 1.4
-times as large."""
+"""Most laser points, and most pixels of each. With half as many the error of the choice is 1.4 times as large."""
 COMPONENTS = 3
 """Primary, secondary and higher light."""
 MOST_ORDERS = 8

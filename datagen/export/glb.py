@@ -102,8 +102,7 @@ def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def _look(material: Material, role: str) -> Any:
-    """The glTF material of a surface: its colour is the albedo times the tint of the role, its roughness the width of
-    the lobe."""
+    """The glTF material of a surface: its colour is albedo times the role's tint, its roughness the lobe's width."""
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
     look = _plain(f"{type(material).__name__} {material.albedo:.2f}", color, _roughness(material))
     look.metallicFactor, look.doubleSided = 0.0, True

@@ -61,8 +61,7 @@ def _confocal_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
 
 
 def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
-    """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 if times count from the
-    wall."""
+    """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 for times from the wall."""
     if m.time.origin == "wall":
         return np.zeros(len(lit))
     ways = np.linalg.norm(lit - m.laser_position, axis=1) + np.linalg.norm(seen - m.sensor_position, axis=1)

@@ -130,8 +130,7 @@ def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Fl
 
 
 def lattice(points: Floats) -> Ints | None:
-    """(columns, rows) index of the point at each place of the grid that (N, 3) points form, x and y ascending; None
-    if they form no grid."""
+    """(columns, rows) index of the point at each place of the grid of (N, 3) points, x and y ascending; or None."""
     extent = float(np.ptp(points[:, :2], axis=0).max())
     for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):
         columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))

@@ -1,5 +1,4 @@
-"""Arrays from HDF5 and MATLAB files that are not trusted: no code is run, no link is followed, all sizes are
-checked."""
+"""Arrays from untrusted HDF5 and MATLAB files: no code is run, no link is followed, all sizes are checked."""
 
 from __future__ import annotations
 
@@ -146,8 +145,7 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
 
 
 def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
-    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`
-    does."""
+    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
     with _one_line(path, "MATLAB"):

@@ -52,7 +52,9 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     path, stored = content.path, content.array(name)
     if stored.ndim != 3 or stored.size == 0:
         raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
-    axes = options.axes or _axes_of(name, stored.shape)
+    # Time comes first if the last two axes have the same size and the first has not.
+    first_is_time = stored.shape[1] == stored.shape[2] != stored.shape[0]
+    axes = options.axes or (f"t{_AXES[name][:2]}" if first_is_time else _AXES[name])
     at = [axes.index(axis) for axis in "yx"]
     # The file's other variables have the two axes of the grid in the same order as this one.
     first, second = sorted(at)
@@ -87,13 +89,6 @@ def _shifted(values: NDArray[Any], shifts: Ints, kept: int) -> NDArray[Any]:
     return found
 
 
-def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """The order of the axes: that of `_AXES`, or time first if the last two axes have the same size and the first has
-    not."""
-    usual = _AXES[name]
-    return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
-
-
 def _shifts(
     content: Content,
     name: str,
@@ -102,8 +97,7 @@ def _shifts(
     options: ImportOptions,
     delays: Path | None,
 ) -> Ints:
-    """(row, column) whole bins that light takes from the laser to the wall and back; 0 if times count from the
-    wall."""
+    """(row, column) whole bins that light takes to the wall and back; 0 if times count from the wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
@@ -164,8 +158,7 @@ def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, f
 
 
 def _pairs(content: Content, options: ImportOptions) -> Recording:
-    """The recording of a list of pairs: every pixel for every laser point, or, as in a confocal scan, one for
-    each."""
+    """The recording of a list of pairs: every pixel for every laser point, or (confocal) one for each."""
     for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
         if value is not None:
             raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")

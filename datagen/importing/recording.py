@@ -89,8 +89,7 @@ class Recording:
         return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
 
     def geometry(self) -> dict[str, Floats]:
-        """Field → value of the fields of positions. All corners of a pixel are one point, since files state no
-        extent."""
+        """Field → value of the fields of positions. A pixel's corners are one point, since files state no extent."""
         frame = self.frame
         both = frame.to_wall(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
         low, high = both.min(axis=0), both.max(axis=0)
@@ -170,8 +169,7 @@ def seconds_of(text: str) -> float:
 
 
 def metres_of(text: str) -> tuple[float, float]:
-    """Width and height of a text, metres: `"2m"` → (2, 2), `"2m x 150cm"` → (2, 1.5). Raises `InputError` for
-    others."""
+    """Width and height of a text, metres: `"2m"` → (2, 2), `"2m x 1m"` → (2, 1); raises `InputError` for others."""
     unit = r"\s*(mm|cm|m)"
     found = re.fullmatch(rf"{_NUMBER}{unit}(?:\s*[x×]\s*{_NUMBER}{unit})?", text.strip())
     if found is None:

@@ -112,8 +112,7 @@ class DrawCounter:
         self._state[torch.from_numpy(scenes)] = torch.tensor([int(epoch), 1])
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
-        """(number, stream) of the next draw of each scene of a batch. The numbers are used up: later reads get
-        others."""
+        """(number, stream) of the next draw of each scene of a batch; later reads get other numbers."""
         rank, state = self._own_rank(), self._state.numpy()
         taken = []
         for scene in scenes:

@@ -24,8 +24,7 @@ from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
 UNIT_M = 1e-3
 _PANEL_IN = 3.4
 _DECADES, _MOST_DECADES, _MARGIN_BELOW = 3.0, 12.0, 100.0
-"""Decades of the colours of points; most decades of an axis of envelopes; factor between its end and the lowest
-peak."""
+"""Decades of points' colours; most decades of an axis of envelopes; factor between its end and the lowest peak."""
 _MOST_POINTS = 60_000
 _UPRIGHT = 0.5
 """Largest vertical part of the normal of a wall."""

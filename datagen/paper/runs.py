@@ -99,8 +99,7 @@ def curve_window(curves: ComponentCurves) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sample counts: sides of the two grids of rays, side of a lookin's unfolded picture, lookins of the converged
-    run."""
+    """Sides of the two grids of rays, side of a lookin's unfolded picture, lookins of the converged run."""
 
     rays: tuple[int, int] = (10, 45)
     pixels: int = 60

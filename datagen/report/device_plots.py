@@ -1,5 +1,4 @@
-"""Pictures of a calibration and of a comparison: histograms as recorded and as the device gives them, and their
-errors."""
+"""Pictures of a calibration and of a comparison: histograms as recorded and as simulated, and their errors."""
 
 from __future__ import annotations
 

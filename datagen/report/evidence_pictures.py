@@ -47,8 +47,7 @@ def stated_significance(stored: StoredScene, scene: Scene) -> dict[str, float]:
 
 
 def evidence_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """The page of evidence: each object's light over the noise in time, and its significance; None where no
-    significance is known."""
+    """The page of evidence, each object's light over the noise and its significance; None if none is known."""
     significance = stated_significance(stored, again.scene) or {
         name: float(np.sqrt((curve**2).sum())) for name, curve in again.own.items()
     }

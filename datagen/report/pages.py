@@ -23,7 +23,6 @@ from datagen.store.summaries import OVER_M
 
 UNDIVIDED = "all light"
 """Name of the only layer where light is not split by part."""
-_MOMENTS = 4
 
 
 def transient_page(stored: StoredScene, again: Replay) -> Figure:
@@ -127,17 +126,16 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     # Subfigures, so that the colour bars of one take no room from the columns of the other.
     left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     row = scans.clear_row(objects if objects.any() else whole)
-    at = scans.moments(objects if objects.any() else whole, _MOMENTS)
+    at = scans.moments(objects if objects.any() else whole)
     time = again.capture.time
-    limits, edges = scans.time_limits(whole, objects, time), time.edges_s * 1e9
+    limits = scans.time_limits(whole, objects, time)
     for line, (what, scan) in enumerate((("all light", whole), ("objects only", objects))):
         along = left.add_subplot(2, 1, line + 1)
         scans.draw_time_slice(left, along, scan, row, raster, time, limits)
         along.set_title(f"Row {row + 1} from the top, {what}")
         for number, bins in enumerate(at):
-            axes = right.add_subplot(2, _MOMENTS, line * _MOMENTS + number + 1)
-            scans.draw_moment(axes, scan, bins, raster)
-            axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
+            axes = right.add_subplot(2, scans.MOMENTS, line * scans.MOMENTS + number + 1)
+            scans.draw_moment(axes, scan, bins, raster, time)
             axes.set_ylabel("" if number else f"{what}: up (m)")
     return figure
 

@@ -111,8 +111,7 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """Camera and opened room: from the direction, of a few before the relay wall, that shows most of the objects and
-    of that wall."""
+    """Camera and opened room from that of a few directions that shows most of objects and relay wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])

@@ -60,8 +60,7 @@ def house_style() -> Iterator[None]:
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
-    """Part name → colour: bright for objects, grey for the room, light blue for the relay wall, darker blue for
-    clutter before it."""
+    """Part name → colour: bright for objects, grey for the room, blue for the relay wall and clutter before it."""
     colors, objects, walls, relays = {}, 0, 0, 0
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if role == "relay_wall":
@@ -79,8 +78,7 @@ def part_colors(scene: Scene) -> dict[str, str]:
 
 
 def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
-    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents (constrained layout, which is
-    slow for many axes)."""
+    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents, which is slow for many."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
     if arranged:
         figure.set_layout_engine("constrained")

@@ -135,8 +135,7 @@ class DatasetReader:
         return out
 
     def _keep(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
-        """The array in memory under a key, made if it is not there. The oldest arrays are dropped when memory is
-        full."""
+        """The array in memory under a key, made if it is not there; the oldest are dropped when memory is full."""
         kept = self._kept.get(key)
         if kept is None:
             kept = make()
@@ -256,8 +255,7 @@ class DatasetReader:
         return np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
 
     def _size(self, field: Field, shard: int) -> int:
-        """Size of a shard's file in bytes. It must be that of the commit record, unless all scenes were checked
-        before."""
+        """Bytes of a shard's file, which must be those of the commit record unless all scenes were checked before."""
         try:
             size = size_of(self._root / shard_file(field, shard))
         except OSError as error:

@@ -68,8 +68,7 @@ def _sum(values: Floats) -> float:
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
-    """The statistics of several scenes of one shape together, from those of each scene: field of `FieldStats` →
-    value."""
+    """The statistics of several scenes of one shape, from those of each: field of `FieldStats` → value."""
     if not scenes:
         raise ValueError("no scenes")
     mean, nonzero = (math.fsum(getattr(one, name) for one in scenes) / len(scenes) for name in ("mean", "nonzero"))

@@ -113,8 +113,7 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
 
 
 def placed_anew_lines(scenes: Parameters) -> list[str]:
-    """One line on how many scenes had their objects placed again for `evidence_at_least`; no line without that
-    key."""
+    """One line on how often objects were placed again for `evidence_at_least`; no line without that key."""
     times = [value for scene in scenes if isinstance(value := scene.get(PLACED_ANEW), int)]
     if not times:
         return []
@@ -126,8 +125,7 @@ def placed_anew_lines(scenes: Parameters) -> list[str]:
 
 
 def label_place_line(scenes: Parameters) -> str:
-    """One sentence on where label images lie relative to the scan; "" for datasets before version 0.14, which do not
-    store it."""
+    """One sentence on where label images lie beside the scan; "" for datasets that do not store it (before 0.14)."""
     shifts = []
     for parameters in scenes:
         right, up = (parameters.get(name) for name in SCAN_PLACE)
