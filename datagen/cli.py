@@ -75,7 +75,7 @@ def calibrate(
     click.echo(found.text())
     write_device(found.device, out)
     if picture is not None:
-        from datagen.report.calibration_plot import draw_calibration
+        from datagen.report.device_plots import draw_calibration
 
         draw_calibration(found, picture)
 
@@ -124,7 +124,7 @@ def compare(
     if out is not None and found.device is not None:
         write_device(found.device, out)
     if picture is not None:
-        from datagen.report.comparison_plot import draw_comparison
+        from datagen.report.device_plots import draw_comparison
 
         draw_comparison(found, picture)
 

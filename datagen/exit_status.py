@@ -1,5 +1,4 @@
-"""Exit statuses: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 ended by Ctrl-C, 143 by
-SIGTERM."""
+"""Exit statuses: 0 success, 1 a check failed, 2 bad input (one line on standard error), 130 Ctrl-C, 143 SIGTERM."""
 
 from __future__ import annotations
 
@@ -27,8 +26,7 @@ class Ended(SystemExit):
 
 
 def exit_with(command: Callable[[], int]) -> NoReturn:
-    """Run a command as all that this process does, and exit with its status. Ctrl-C and SIGTERM end the process with
-    one line."""
+    """Run a command as all that this process does, and exit with its status; signals end it with one line."""
     received = list[int]()
 
     def end(number: int, _: object) -> None:
@@ -80,8 +78,7 @@ def _unraisable(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def guarded(command: click.Command, arguments: Sequence[str] | None = None, name: str | None = None) -> int:
-    """The exit status of a click command, which is run; errors and warnings for the user become one line each on
-    standard error."""
+    """The exit status of a click command, which is run; errors and warnings become lines on standard error."""
     show_others = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

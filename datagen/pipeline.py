@@ -181,8 +181,7 @@ def check_inputs(config: DatasetConfig) -> None:
 
 
 def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; volumes of meshes with
-    holes."""
+    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
@@ -200,8 +199,7 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
 
 
 def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if in many of the scenes tried most zones see things whose direct light arrives after the time axis
-    ends."""
+    """A warning if in many of the scenes tried most zones get their direct light after the time axis ends."""
     if not config.transport.direct or config.capture.time.origin != "source":
         return
     late = sum(share_of_late_zones(scene, capture) > 0.5 for scene, capture in tried)
@@ -238,10 +236,12 @@ def _parameters(
     transient: Transient, evidence: Mapping[str, Evidence], counts: NDArray[np.integer],
 ) -> dict[str, Scalar]:  # fmt: skip
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
+    # The position of the scan on the label images.
+    place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
     return {
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
-        **_label_place(scene, transient),
+        **({} if place is None else dict(zip(SCAN_PLACE, place, strict=True))),
         **_scalars("detector", asdict(spad)),
         **_scalars("exposure", asdict(exposure)),
         **effects.parameters(),
@@ -255,12 +255,6 @@ def _parameters(
         **evidence_parameters(evidence),
         "histogram.counts": int(counts.sum()),
     }
-
-
-def _label_place(scene: Scene, transient: Transient) -> dict[str, Scalar]:
-    """The position of the scan on the label images; empty for a scene without `hidden_view`."""
-    place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
-    return {} if place is None else dict(zip(SCAN_PLACE, place, strict=True))
 
 
 def _scalars(prefix: str, values: Mapping[str, object]) -> dict[str, Scalar]:

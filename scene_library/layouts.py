@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.rooms import Doorway, FloorPlan, RoomDoesNotClose
+from scene_library.rounding import Floats
 
 MINIMUM_APPROACH_M = 0.1
 """At least this much corridor lies between the device and the corner that hides the rest."""
@@ -50,7 +50,7 @@ class _Approach:
         return corner
 
     @property
-    def device(self) -> NDArray[np.float64]:
+    def device(self) -> Floats:
         """(3,) place of the device."""
         if self.device_height_m >= self.height_m:
             raise RoomDoesNotClose("the device is above the ceiling: lower device_height_m or raise height_m")

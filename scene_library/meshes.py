@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.rounding import product
+from scene_library.rounding import Floats, product
 from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -69,7 +69,7 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
     return _cache[key]
 
 
-def triangles_of(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def triangles_of(path: Path) -> tuple[Floats, NDArray[np.int64]]:
     """Vertices (V, 3) and triangles (F, 3) of a mesh file, in the file's coordinates. Raises `BadMesh`."""
     if not path.is_file():
         raise BadMesh("cannot be read (no such file)")
@@ -95,17 +95,17 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
     return Solid.of(vertices, faces)
 
 
-def _upright(up: str, front: str) -> NDArray[np.float64]:
+def _upright(up: str, front: str) -> Floats:
     """(3, 3) rotation that takes the file's axis `up` to +z and its axis `front` to −y."""
     z, y = _axis(up), -_axis(front)
     return np.stack([np.cross(y, z), y, z]) + 0.0
 
 
-def _axis(name: str) -> NDArray[np.float64]:
+def _axis(name: str) -> Floats:
     return np.asarray((-1.0 if name.startswith("-") else 1.0) * np.eye(3)["xyz".index(name[-1])])
 
 
-def _check_steps(vertices: NDArray[np.float64]) -> None:
+def _check_steps(vertices: Floats) -> None:
     """Raise `BadMesh` for what was rounded to single precision far from its origin, as surveyed models may be."""
     single = vertices.astype(np.float32)
     step = float(np.spacing(np.abs(single).max())) / float(np.ptp(vertices, axis=0).max())
@@ -116,7 +116,7 @@ def _check_steps(vertices: NDArray[np.float64]) -> None:
         )
 
 
-def _read(path: Path, options: MeshOptions) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read(path: Path, options: MeshOptions) -> tuple[Floats, NDArray[np.int64]]:
     """All triangles of a file, the transforms of its scene graph applied."""
     import trimesh
 
@@ -222,7 +222,7 @@ def _strips(geometry: Any) -> NDArray[np.int64] | None:
     return np.concatenate(found)
 
 
-def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def cleaned(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """Merge vertices that coincide; drop triangles without area, repeated triangles and unused vertices."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise BadMesh(f"names vertices that it does not hold (1 … {len(vertices)} exist); export it again")
@@ -249,9 +249,7 @@ def cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[ND
     return _without_unused(vertices, faces)
 
 
-def _without_unused(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _without_unused(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     used = np.zeros(len(vertices), np.bool_)
     used[faces] = True
     return vertices[used], (np.cumsum(used) - 1)[faces]
@@ -270,7 +268,7 @@ def _distinct(rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return order[is_new], number
 
 
-def _of_ordinary_size(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+def _of_ordinary_size(vertices: Floats) -> Floats:
     """The vertices times a power of two, which rounds nothing, so that their extent is 512 … 1024.
 
     The file's unit is of no account, since objects are scaled to a height: areas must neither overflow nor vanish,
@@ -283,9 +281,7 @@ def _of_ordinary_size(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.ldexp(vertices, 10 - exponent))
 
 
-def simplified(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_triangles: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def simplified(vertices: Floats, faces: NDArray[np.int64], max_triangles: int) -> tuple[Floats, NDArray[np.int64]]:
     """At most `max_triangles` triangles, by quadric edge collapse (Garland & Heckbert 1997, as in Open3D)."""
     try:
         import open3d

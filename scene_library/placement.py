@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.polygons import Polygon, boundary_distance, contains
-from scene_library.rounding import arctan2
+from scene_library.rounding import Floats, arctan2
 from scene_library.separation import gap_between
 from scene_library.visibility import is_hidden
 
@@ -41,10 +40,10 @@ class FreeSpace:
     """
 
     outline: Polygon
-    zone: NDArray[np.float64]
-    walls: NDArray[np.float64]
+    zone: Floats
+    walls: Floats
     height_m: float
-    fan: NDArray[np.float64]
+    fan: Floats
     clearance_m: float
     taken: list[Occupied] = field(default_factory=list)
 
@@ -80,12 +79,12 @@ class WallSpots:
     inward : (n, 2) their unit normals into the room.
     """
 
-    starts: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    inward: NDArray[np.float64]
+    starts: Floats
+    ends: Floats
+    inward: Floats
 
     @classmethod
-    def within(cls, edges: NDArray[np.float64], zone: NDArray[np.float64]) -> WallSpots:
+    def within(cls, edges: Floats, zone: Floats) -> WallSpots:
         """The parts of counter-clockwise `edges` (n, 2, 2) that lie in the box `zone` (2, 2)."""
         start, along = edges[:, 0], edges[:, 1] - edges[:, 0]
         length = np.linalg.norm(along, axis=1)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.polygons import Polygon, cross, segments_of
+from scene_library.rounding import Floats
 from scene_library.solids import Surface
 
 _SAME = 1e-9
@@ -81,7 +81,7 @@ def _trapezoids(polygons: list[Polygon]) -> list[_Trapezoid]:
     return pieces
 
 
-def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> list[float]:
+def _levels(low: Floats, high: Floats) -> list[float]:
     """Heights of all corners and of all crossings of two edges, without near repeats."""
     along = high - low
     det = cross(along[:, None], along[None])

@@ -8,17 +8,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene_library.rounding import cos, length, product, sin
+from scene_library.rounding import Floats, cos, length, product, sin
 
 Polygon = NDArray[np.float64]
 
 
-def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def cross(a: Floats, b: Floats) -> Floats:
     """z component of the cross product of plane vectors (…, 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def following(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def following(corners: Floats) -> Floats:
     """For every corner the next one around."""
     return np.concatenate([corners[1:], corners[:1]])
 
@@ -28,7 +28,7 @@ def signed_area(polygon: Polygon) -> float:
     return 0.5 * float(cross(polygon, following(polygon)).sum())
 
 
-def rotation(angle_rad: float) -> NDArray[np.float64]:
+def rotation(angle_rad: float) -> Floats:
     """(2, 2) matrix that rotates column vectors counter-clockwise."""
     c, s = float(cos(angle_rad)), float(sin(angle_rad))
     return np.array([[c, -s], [s, c]])
@@ -86,7 +86,7 @@ def contains(polygon: Polygon, points: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray((spans & (p[..., 0] < crossing)).sum(axis=-1) % 2 == 1)
 
 
-def point_segment_distance(points: NDArray[np.float64], segments: NDArray[np.float64]) -> NDArray[np.float64]:
+def point_segment_distance(points: Floats, segments: Floats) -> Floats:
     """(n, m) distances from (n, 2) points to (m, 2, 2) segments."""
     start, along = segments[:, 0], segments[:, 1] - segments[:, 0]
     offset = points[:, None] - start
@@ -95,12 +95,12 @@ def point_segment_distance(points: NDArray[np.float64], segments: NDArray[np.flo
     return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=-1))
 
 
-def segments_of(polygon: Polygon) -> NDArray[np.float64]:
+def segments_of(polygon: Polygon) -> Floats:
     """(n, 2, 2) edges."""
     return np.stack([polygon, following(polygon)], axis=1)
 
 
-def boundary_distance(polygon: Polygon, segments: NDArray[np.float64]) -> float:
+def boundary_distance(polygon: Polygon, segments: Floats) -> float:
     """Smallest distance between the boundary of `polygon` and (m, 2, 2) segments; 0 where they cross."""
     edges = segments_of(polygon)
     if segments_cross(edges, segments).any():
@@ -113,7 +113,7 @@ def boundary_distance(polygon: Polygon, segments: NDArray[np.float64]) -> float:
     )
 
 
-def segments_cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+def segments_cross(a: Floats, b: Floats) -> NDArray[np.bool_]:
     """(n, m): whether segments (n, 2, 2) and (m, 2, 2) properly cross."""
     a0, a1 = a[:, None, 0], a[:, None, 1]
     b0, b1 = b[None, :, 0], b[None, :, 1]

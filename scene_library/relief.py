@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.rounding import cos, length
+from scene_library.rounding import Floats, cos, length
 from scene_library.solids import Surface
 
 Lines = NDArray[np.float64]
-Shape = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+Shape = Callable[[Floats, Floats], Floats]
 """(across, up) in metres from the lower right corner as the room sees it → depth as a share of the relief, 0 … 1."""
 
 RIM_SHARE = 0.02
@@ -52,7 +52,7 @@ class Relief:
 def curved(width_m: float, height_m: float) -> Relief:
     """A shallow parabolic niche: deepest in the middle of the wall's width."""
 
-    def shape(u: NDArray[np.float64], _: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shape(u: Floats, _: Floats) -> Floats:
         return 1 - (2 * u / width_m - 1) ** 2
 
     return Relief(shape, _even(width_m, width_m / _CURVE_CELLS), np.empty(0))
@@ -63,7 +63,7 @@ def corrugated(
 ) -> Relief:
     """A sine of `period_m`, its ridges upright or level."""
 
-    def shape(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shape(u: Floats, v: Floats) -> Floats:
         return 0.5 - 0.5 * cos(2 * np.pi * (u if upright else v) / period_m + phase_rad)
 
     lines = _even(width_m if upright else height_m, period_m / _CELLS_PER_PERIOD)
@@ -81,7 +81,7 @@ def bumpy(
     wave = rng.normal(size=(_WAVES, 2)) / correlation_m
     phase = rng.uniform(0, 2 * np.pi, _WAVES)
 
-    def shape(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shape(u: Floats, v: Floats) -> Floats:
         total = np.zeros(np.broadcast(u, v).shape)
         for (ku, kv), p in zip(wave, phase, strict=True):
             total += cos(ku * u + kv * v + p)
@@ -102,7 +102,7 @@ def stepped(width_m: float, height_m: float, side_m: float, max_triangles: int, 
     _check_budget(_triangles(len(across), len(up)), max_triangles, f"panels of {side_m:.3g} m")
     depth = rng.uniform(size=(columns, rows))
 
-    def shape(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def shape(u: Floats, v: Floats) -> Floats:
         i = np.clip((u / width_m * columns).astype(int), 0, columns - 1)
         j = np.clip((v / height_m * rows).astype(int), 0, rows - 1)
         return np.asarray(depth[i, j])
@@ -153,7 +153,7 @@ def _framed(lines: Lines, length_m: float, rim_m: float, fade_m: float) -> Lines
     return np.sort(np.concatenate([inside[apart], steps]))
 
 
-def _faded(position: NDArray[np.float64], length_m: float, rim_m: float, fade_m: float) -> NDArray[np.float64]:
+def _faded(position: Floats, length_m: float, rim_m: float, fade_m: float) -> Floats:
     """0 at the rim, 1 beyond the fade, smooth between."""
     inward = np.minimum(position, length_m - position)
     t = np.clip((inward - rim_m) / fade_m, 0.0, 1.0)

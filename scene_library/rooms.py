@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.polygons import (
     Polygon,
@@ -21,7 +20,7 @@ from scene_library.polygons import (
     segments_of,
     triangulate,
 )
-from scene_library.rounding import cos, length, sin
+from scene_library.rounding import Floats, cos, length, sin
 from scene_library.solids import Surface, joined
 
 
@@ -63,37 +62,37 @@ class FloorPlan:
     outline: Polygon
     relay_edge: int
     height_m: float
-    device: NDArray[np.float64]
+    device: Floats
     hidden_corners: tuple[int, ...]
     across_from_low: bool = True
     doorway: Doorway | None = None
     open_air: bool = False
-    screen: NDArray[np.float64] | None = None
+    screen: Floats | None = None
     all_in_view: bool = False
 
     @cached_property
-    def edges(self) -> NDArray[np.float64]:
+    def edges(self) -> Floats:
         """(n, 2, 2) the edges of the outline."""
         return segments_of(self.outline)
 
     @property
-    def walls(self) -> NDArray[np.float64]:
+    def walls(self) -> Floats:
         """(m, 2, 2) the vertical surfaces in plan."""
         walls = self.relay_segment[None] if self.open_air else self.edges
         return walls if self.screen is None else np.concatenate([walls, self.screen[None]])
 
     @property
-    def limits(self) -> NDArray[np.float64]:
+    def limits(self) -> Floats:
         """(m, 2, 2) walls and, in the open, the limits of sight."""
         return self.edges if self.screen is None else np.concatenate([self.edges, self.screen[None]])
 
     @property
-    def relay_segment(self) -> NDArray[np.float64]:
+    def relay_segment(self) -> Floats:
         """(2, 2) the relay wall in plan, from right to left as seen from the room."""
         return np.asarray(self.edges[self.relay_edge])
 
     @cached_property
-    def hidden(self) -> NDArray[np.float64]:
+    def hidden(self) -> Floats:
         """(2, 2) low and high corner of the box, in plan, that holds the hidden part before the relay wall."""
         corners = self.outline[list(self.hidden_corners)]
         if self.screen is not None:
@@ -145,7 +144,7 @@ def wall_groups(plan: FloorPlan) -> list[int]:
     return groups
 
 
-def out_of_square(plan: FloorPlan, angles_rad: NDArray[np.float64]) -> FloorPlan:
+def out_of_square(plan: FloorPlan, angles_rad: Floats) -> FloorPlan:
     """Rotate every wall but the relay wall about its middle by `angles_rad` (n,); the corners move along.
 
     Edges of one wall (`wall_groups`) rotate together, by the angle of the first.

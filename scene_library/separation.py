@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from scene_library.rounding import Floats
 
 
 @njit(cache=True)
-def gap_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def gap_between(a: Floats, b: Floats) -> float:
     """How far apart convex polygons (n, 2) and (m, 2) are along the best separating edge normal, metres.
 
     Negative where they overlap, and never more than the true distance (separating-axis theorem), so asking for a gap
@@ -18,7 +19,7 @@ def gap_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @njit(cache=True)
-def stays_clear(footprint: NDArray[np.float64], triangles: NDArray[np.float64], margin_m: float) -> bool:
+def stays_clear(footprint: Floats, triangles: Floats, margin_m: float) -> bool:
     """Whether a convex footprint (n, 2) has a gap of at least `margin_m` to each of (m, 3, 2) triangles.
 
     A triangle whose bounding box is further away than that is not asked.
@@ -39,7 +40,7 @@ def stays_clear(footprint: NDArray[np.float64], triangles: NDArray[np.float64], 
 
 
 @njit(cache=True)
-def _along_normals(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _along_normals(a: Floats, b: Floats) -> float:
     """The largest gap between the two along a normal of an edge of `a`; an edge without length has none."""
     best = -np.inf
     for k in range(len(a)):
@@ -56,7 +57,7 @@ def _along_normals(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @njit(cache=True)
-def _extent(polygon: NDArray[np.float64], x: float, y: float) -> tuple[float, float]:
+def _extent(polygon: Floats, x: float, y: float) -> tuple[float, float]:
     low, high = np.inf, -np.inf
     for corner in polygon:
         place = x * corner[0] + y * corner[1]

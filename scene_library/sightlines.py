@@ -10,12 +10,14 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
+from scene_library.rounding import Floats
+
 _POINTS = 64
 _GOLDEN = (0.754877666246693, 0.569840290998053)
 """Steps of the R2 sequence (powers of 1/plastic number): even cover of a square by any number of points."""
 
 
-def _ray_scene(triangles: NDArray[np.float64]) -> tuple[Any, NDArray[np.float64]]:
+def _ray_scene(triangles: Floats) -> tuple[Any, Floats]:
     """Embree's scene of triangles (F, 3, 3) about their middle (3,), which keeps single precision fine, and that."""
     middle = triangles.reshape(-1, 3).mean(axis=0)
     scene = EmbreeScene()
@@ -24,11 +26,11 @@ def _ray_scene(triangles: NDArray[np.float64]) -> tuple[Any, NDArray[np.float64]
 
 
 def seen_fractions(
-    triangles: NDArray[np.float64],
+    triangles: Floats,
     face_part: NDArray[np.int32],
     parts: NDArray[np.int64],
-    wall_points: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    wall_points: Floats,
+) -> Floats:
     """Share of (wall point, surface point) pairs whose segment nothing blocks, for each of `parts`.
 
     A surface point that faces away counts as blocked, so 0.5 is much for a closed object. The points are fixed.
@@ -57,9 +59,7 @@ def seen_fractions(
     return fractions
 
 
-def first_faces(
-    triangles: NDArray[np.float64], eye: NDArray[np.float64], points: NDArray[np.float64], slack: float = 1e-3
-) -> NDArray[np.int64]:
+def first_faces(triangles: Floats, eye: Floats, points: Floats, slack: float = 1e-3) -> NDArray[np.int64]:
     """(n,) index of the triangle that blocks the way from `eye` (3,) to each of `points` (n, 3); −1: the way is free.
 
     triangles : (F, 3, 3) corners, metres.
@@ -75,7 +75,7 @@ def first_faces(
     return np.where(hit < distance * (1 - slack), face, -1)
 
 
-def lattice_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+def lattice_points(triangles: Floats) -> Floats:
     """(n, 3) points on (F, 3, 3) triangles: all corners, where these are few a lattice of about 4096."""
     steps = max(1, int(np.sqrt(2 * 4096 / len(triangles))) - 1)
     i, j = np.meshgrid(np.arange(steps + 1), np.arange(steps + 1), indexing="ij")
@@ -84,7 +84,7 @@ def lattice_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.einsum("wk,fkx->fwx", weights, triangles).reshape(-1, 3))
 
 
-def _surface_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
+def _surface_points(triangles: Floats) -> Floats:
     """(64, 3) points spread evenly over the area of (F, 3, 3) triangles."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -98,9 +98,7 @@ def _surface_points(triangles: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(a[face] + u * (b - a)[face] + v * (c - a)[face])
 
 
-def even_points(
-    center: NDArray[np.float64], right: NDArray[np.float64], up: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def even_points(center: Floats, right: Floats, up: Floats) -> Floats:
     """(64, 3) points spread evenly over the rectangle `center ± right ± up`."""
     k = np.arange(_POINTS)
     u, v = (0.5 + k * _GOLDEN[0]) % 1.0, (0.5 + k * _GOLDEN[1]) % 1.0
@@ -108,8 +106,8 @@ def even_points(
 
 
 def occlusion_test(
-    triangles: NDArray[np.float64],
-) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]:
+    triangles: Floats,
+) -> Callable[[Floats, Floats], NDArray[np.bool_]]:
     """A function of `starts` and `ends` (n, 3), both in the open: (n,) whether one of `triangles` (F, 3, 3) cuts the
     segment between them.
     """
@@ -117,7 +115,7 @@ def occlusion_test(
         return lambda starts, ends: np.zeros(len(starts), np.bool_)
     scene, middle = _ray_scene(triangles)
 
-    def blocked(starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def blocked(starts: Floats, ends: Floats) -> NDArray[np.bool_]:
         span = (ends - starts).astype(np.float32)
         reach = np.ones(len(starts), np.float32)
         hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")

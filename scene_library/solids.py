@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scene_library.polygons import Polygon, convex_hull, rotation, triangulate
-from scene_library.rounding import cos, length, product, sin
+from scene_library.rounding import Floats, cos, length, product, sin
 
-Surface = tuple[NDArray[np.float64], NDArray[np.int64]]
+Surface = tuple[Floats, NDArray[np.int64]]
 """Vertices (V, 3) in metres and triangles (F, 3)."""
 
 
@@ -31,13 +31,13 @@ class Solid:
     top_m : height of the highest vertex; the lowest is at 0.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: Floats
     triangles: NDArray[np.int64]
     hull: Polygon
     top_m: float
 
     @classmethod
-    def of(cls, vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Solid:
+    def of(cls, vertices: Floats, triangles: NDArray[np.int64]) -> Solid:
         """A solid that already stands on z = 0."""
         return cls(vertices, triangles, convex_hull(vertices[:, :2]), float(vertices[:, 2].max()))
 
@@ -56,7 +56,7 @@ class Solid:
         """The hull in plan when the solid is rotated about z and moved to (x, y)."""
         return _turned(self.hull, x, y, rotation_deg)
 
-    def placed(self, x: float, y: float, z: float, rotation_deg: float) -> NDArray[np.float64]:
+    def placed(self, x: float, y: float, z: float, rotation_deg: float) -> Floats:
         """(V, 3) vertices of the solid rotated about z, then moved to (x, y, z)."""
         plan = _turned(self.vertices[:, :2], x, y, rotation_deg)
         return np.column_stack([plan, self.vertices[:, 2] + z])

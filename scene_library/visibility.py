@@ -7,17 +7,16 @@ doorway hides more than the plane says: the answer then errs on the safe side.)
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.polygons import Polygon, cross
-from scene_library.rounding import arctan2, cos, length, product, sin
+from scene_library.rounding import Floats, arctan2, cos, length, product, sin
 from scene_library.separation import stays_clear
 
 _NUDGE_RAD = 1e-7
 """Rays pass each corner on both sides by this angle: 1 µm at 10 m, far below any clearance asked for."""
 
 
-def visible_fan(walls: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray[np.float64]:
+def visible_fan(walls: Floats, eye: Floats) -> Floats:
     """(n, 3, 2) triangles (eye, b, c) that together cover everything `eye` (2,) sees between `walls` (m, 2, 2).
 
     The walls must surround the eye; they may be the edges of a plan and screens that stand free in it.
@@ -34,9 +33,7 @@ def visible_fan(walls: NDArray[np.float64], eye: NDArray[np.float64]) -> NDArray
     return np.stack([np.broadcast_to(eye, (int(wide.sum()), 2)), ends[wide], nexts[wide]], axis=1)
 
 
-def first_hit(
-    walls: NDArray[np.float64], eye: NDArray[np.float64], directions: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def first_hit(walls: Floats, eye: Floats, directions: Floats) -> Floats:
     """(n,) distance from `eye` along unit `directions` (n, 2) to the first of `walls`; inf where there is none."""
     along = walls[:, 1] - walls[:, 0]
     denominator = cross(directions[:, None], along[None])
@@ -48,14 +45,12 @@ def first_hit(
     return np.asarray(np.where(hit, distance, np.inf).min(axis=1))
 
 
-def is_hidden(footprint: Polygon, fan: NDArray[np.float64], margin_m: float) -> bool:
+def is_hidden(footprint: Polygon, fan: Floats, margin_m: float) -> bool:
     """Whether a convex footprint stays at least `margin_m` clear of everything that is seen."""
     return bool(stays_clear(np.ascontiguousarray(footprint), np.ascontiguousarray(fan), margin_m))
 
 
-def visible_interval(
-    fan: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
-) -> tuple[float, float] | None:
+def visible_interval(fan: Floats, start: Floats, end: Floats) -> tuple[float, float] | None:
     """The longest stretch of the wall `start` → `end` (each (2,)) that is seen, as metres from `start`; or None."""
     along = end - start
     long = float(length(along))

@@ -36,8 +36,7 @@ def small_network(outputs: int) -> torch.nn.Sequential:
 
 
 class Normalized(torch.nn.Module):
-    """A network whose input is log(1 + counts) minus its mean over the training scenes, divided by its standard
-    deviation."""
+    """A network whose input is log(1 + counts), centred and scaled as over the training scenes."""
 
     def __init__(self, train: torch.Tensor, outputs: int, seed: int) -> None:
         super().__init__()

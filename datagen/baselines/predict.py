@@ -25,8 +25,7 @@ Predicted = dict[str, NDArray[Any]]
 LAYERS = 32
 """Layers of the grid from which backprojection takes depth; half as many make depth twice as coarse."""
 BRIGHT = 0.5
-"""Fraction of the brightest voxel's value above which a voxel counts as an object; half as much makes objects
-larger."""
+"""Fraction of the brightest voxel above which a voxel counts as an object. With half as much objects grow."""
 SMALLEST = 4
 """Least number of pixels of an object; half as many would keep patches of two pixels."""
 

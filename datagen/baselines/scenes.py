@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.boxes import objects_seen
 from datagen.loader import TransientDataset, collate
-from datagen.records.arrays import Bools, Floats
+from datagen.records.arrays import Bools, Floats, Ints
 
 FIELDS = ("depth", "part_id", "object_part", "object_box_center", "occupancy", "hidden_view")
 
@@ -20,8 +20,6 @@ FIELDS = ("depth", "part_id", "object_part", "object_box_center", "occupancy", "
 class SuiteScenes:
     """The scenes of one split.
 
-    Attributes
-    ----------
     root : the dataset.
     scene : (N,) indices of the scenes.
     histogram : (N, laser, pixel, bin) counts.
@@ -33,7 +31,7 @@ class SuiteScenes:
     """
 
     root: Path
-    scene: NDArray[np.int64]
+    scene: Ints
     histogram: NDArray[np.float32]
     depth: NDArray[np.float32]
     mask: Bools

@@ -15,10 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
 from datagen.capture import capture_for
@@ -30,9 +32,6 @@ from datagen.records.arrays import Floats
 from datagen.report.style import INK, house_style, new_figure, save_png
 from datagen.store.files import check_writable
 from datagen.transport import simulate
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Run = Callable[[Accuracy, int], tuple[Floats, float]]
 """Accuracy and seed → (laser, pixel, bin) transient, and processor seconds."""
@@ -84,8 +83,6 @@ class Setting(NamedTuple):
 class Row:
     """One setting, measured: medians over `runs` runs with different seeds.
 
-    Attributes
-    ----------
     seconds : processor seconds of a run.
     error : relative L2 error against the truth.
     noise : its random part, relative to the mean of the runs.
@@ -254,8 +251,7 @@ def converge(run: Run, accuracy: Accuracy, budget_s: float) -> Truth:
 
 
 def measure(setting: Setting, run: Run, truth: Truth, repeats: int, slowest_s: float) -> Row:
-    """The row of a setting, run `repeats` times with different seeds, or twice if a run takes longer than
-    `slowest_s`."""
+    """The row of a setting: `repeats` runs with different seeds, or two if one takes longer than `slowest_s`."""
     runs = list[tuple[Floats, float]]()
     while len(runs) < repeats and (len(runs) < 2 or runs[0][1] <= slowest_s):
         runs.append(run(setting.accuracy, 1 + len(runs)))
@@ -303,8 +299,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def advice(rows: Sequence[Row]) -> list[str]:
-    """Recommendations from the rows: the cheapest setting for each goal, and the biases that samples do not
-    reduce."""
+    """Recommendations: the cheapest setting for each goal, and the biases that samples do not reduce."""
     title = f"What to choose for {_light_of(rows)} (processor seconds a scene, error found):"
     return [title, "", *(_for_goal(rows, goal) for goal in GOALS), *_floors(rows)]
 
@@ -363,8 +358,6 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
 
 
 def _draw(axes: Axes, rows: Sequence[Row], title: str) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     shown = [row for row in rows if row.error > 0]
     if not shown:
         # Logarithmic axes cannot be empty.

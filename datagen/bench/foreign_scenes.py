@@ -39,8 +39,6 @@ Generator = np.random.Generator
 class ForeignScene:
     """A scene, its capture, and its ingredients in words, for reports.
 
-    Attributes
-    ----------
     max_bounces : 3 or 4.
     shapes, brdfs : object part → name of its shape, and of its BRDF.
     surroundings : "open", "floor" or "room".
@@ -107,8 +105,7 @@ def _rectangle(center: Floats, right: Floats, up: Floats) -> trimesh.Trimesh:
 
 
 def _surroundings(rng: Generator, size: Floats, kind: str) -> list[Part]:
-    """The wall, and floor, walls and ceiling if there are any: one surface in five has any BRDF, the others are
-    matt."""
+    """The wall, and floor, walls and ceiling if there are any; one surface in five has any BRDF, others are matt."""
     middle, (x, y, z) = np.array([size[0] / 2, 0.0, size[2] / 2]), np.diag(size * [0.5, 0.5, 0.5])
 
     def matt() -> Material:

@@ -24,8 +24,7 @@ def machine() -> str:
 
 
 def processor_seconds(call: Callable[[], T]) -> tuple[T, float]:
-    """(result, processor seconds) of a call, all threads together, which depend little on other work of the
-    machine."""
+    """(result, processor seconds of all threads) of a call; other work of the machine hardly changes them."""
     began = time.process_time()
     result = call()
     return result, time.process_time() - began

@@ -108,8 +108,6 @@ def photons_to_radiance(photons: Floats, capture: Capture) -> Floats:
 class MitransientPeer:
     """A scene rendered by mitransient, ready to be sampled again and again.
 
-    Parameters
-    ----------
     scene : Lambertian throughout (shaded on both sides, as ours is).
     wall_name, wall : the part that is the relay wall, and the rectangle that stands for it.
     device : (3,) laser and sensor. laser_point : (3,) on the wall; None for a confocal scan.

@@ -26,6 +26,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
 from datagen.bench.other_renderers import missing_for_mitransient
@@ -138,8 +139,6 @@ def picture(
     title: str, norm: int, target: float, lines: Mapping[str, Sequence[tuple[float, float]]], path: Path
 ) -> Path:
     """Error against processor seconds, a line for each contender."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     with house_style():
         figure = new_figure(8.0, 4.4)
         axes = figure.subplots()

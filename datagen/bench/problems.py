@@ -1,5 +1,4 @@
-"""The furnished room of several benches: closed, 4 × 3 × 2.5 m, with a box and a pillar; and lumps of any size for
-it."""
+"""The furnished room of several benches, closed, 4 × 3 × 2.5 m, with a box and a pillar; and lumps for it."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ def furnished_room(subdivisions: int = 0, more: Sequence[Part] = ()) -> Scene:
 
 
 def lump(name: str, center: tuple[float, float, float], radius_m: float, quads: int) -> Part:
-    """A sphere with bumps of a tenth of its radius, of 12 quads² triangles: the faces of a cube, projected
-    outwards."""
+    """A sphere with bumps of a tenth of its radius, of 12 quads² triangles: a cube's faces, projected outwards."""
     side = np.linspace(-1, 1, quads + 1)
     u, v = (x.ravel() for x in np.meshgrid(side, side, indexing="ij"))
     low = (np.arange(quads)[:, None] * (quads + 1) + np.arange(quads)).ravel()

@@ -66,8 +66,6 @@ would otherwise take minutes."""
 class Case:
     """A scene to be checked.
 
-    Attributes
-    ----------
     light : what is simulated, to any target.
     traits : "whole" or an object → heading → what it has there, such as BRDF → GGX; the table has a line for each.
     held : most points at which errors are measured; None: all.
@@ -82,8 +80,6 @@ class Case:
 class Check:
     """The check of a whole scene, or of one of its objects, at one target.
 
-    Attributes
-    ----------
     options : of this command, which repeat it.
     what, traits : "whole" or the object, and what it has there, the method of its light too.
     asked, claimed : relative L2 error asked for, and claimed by the run.

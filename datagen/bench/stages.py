@@ -25,8 +25,7 @@ from datagen.store import ShardRecord, committed, prepare, read_manifest, schema
 from datagen.store.info import STAGES, seconds_by_stage
 
 LEAST_SHARDS = 4
-"""Fewest shards of a build. With half as many, two workers would leave none for the rates after their first
-shards."""
+"""Fewest shards of a build. With half as many, none is left for the rates after the first shards of two workers."""
 SIMULATION = ("scene", "transport", "detector")
 """Stages that make a sample; all others count as overhead."""
 CORES = 16
@@ -80,8 +79,7 @@ def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
 
 
 def processor_seconds_of_scenes(config: DatasetConfig, scenes: int) -> list[float]:
-    """Processor seconds of each of `scenes` scenes, from seed to shard, after a first one, which compiles the
-    kernels."""
+    """Processor seconds of each of `scenes` scenes, from seed to shard, after a first one that compiles kernels."""
     alone = config.store.model_copy(update={"scenes_per_shard": 1})
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"

@@ -282,8 +282,6 @@ def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
 class _Jobs:
     """The loop that hands out jobs and takes in their results.
 
-    Attributes
-    ----------
     waiting : jobs to hand out, the next one first.
     running : future → its job, and the scene that the job makes (None: the whole shard).
     begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was

@@ -19,6 +19,7 @@ from datagen.errors import InputError
 from datagen.labels.boxes import classes_in
 from datagen.pipeline import BACKGROUND_FIELDS, sample_of
 from datagen.records import Capture, Sample, Scene
+from datagen.records.arrays import Floats
 
 
 def build_from(
@@ -87,7 +88,7 @@ class Given:
 
     scene: Scene
     capture: Capture
-    transient: NDArray[np.float64] | None
+    transient: Floats | None
 
     @property
     def digest(self) -> str:

@@ -1,5 +1,4 @@
-"""The jobs of a worker: make all scenes of a shard, write the shard and commit it; or make one scene of a shard that
-several workers share."""
+"""The jobs of a worker: make, write and commit a shard; or make one scene of a shard that several workers share."""
 
 from __future__ import annotations
 
@@ -47,8 +46,6 @@ Half as many would be close to that on a busy machine."""
 class ShardJob:
     """The input of a job, as it is sent to a worker.
 
-    Attributes
-    ----------
     root : the dataset's folder.
     skip : scene that must not be tried → reason.
     handed_out : Unix time at which the job was submitted.
@@ -145,8 +142,7 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
 
 
 def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
-    """Scene → Unix time at which a worker began it, of the scenes of a shard that is not committed, in their
-    order."""
+    """Scene → Unix time at which a worker began it, in order, of the scenes of a shard that is not committed."""
     try:
         content = running_path(root, shard).read_bytes()
     except OSError:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from datagen.capture.in_sight import check_in_sight
-from datagen.config.capture import AtObjects, CaptureConfig
+from datagen.config.capture import AtObjects, CaptureConfig, Point
 from datagen.config.device import DeviceConfig
 from datagen.config.distributions import draw
 from datagen.errors import InputError
@@ -76,12 +76,7 @@ def _sees(scene: Scene, corners: Floats, place: Floats, middle: Floats, name: st
     return bool((first_faces(corners, place, around, slack=0.0) < 0).all() and length(middle - place) > 0)
 
 
-def position_of(
-    device: str,
-    configured: tuple[float, float, float] | None,
-    offset: tuple[float, float, float] | None,
-    scene: Scene,
-) -> Floats:
+def position_of(device: str, configured: Point | None, offset: Point | None, scene: Scene) -> Floats:
     """(3,) position of a device: as configured, or the scene's own place, moved by `offset`."""
     if configured is not None:
         return np.asarray(configured, np.float64)

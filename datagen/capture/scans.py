@@ -13,8 +13,7 @@ from datagen.records.arrays import Floats
 from scene_library.rounding import cos, length, product, sin
 
 DEFAULT_FILL = 0.8
-"""Share of the visible wall that a scan or a field of view covers if no size is configured. Halved, it is half as
-wide and high."""
+"""Share of the visible wall that a scan or field of view covers by default. Halved, it is half as wide."""
 ON_THE_WALL_M = 0.01
 """Largest distance of a place given as (x, y, z) from the wall's plane. Halved, less accurate places are refused."""
 

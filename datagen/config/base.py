@@ -93,7 +93,8 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
     if problem in ("dict_type", "model_type", "model_attributes_type", "union_tag_not_found"):
         with_kind = f" with the key kind, one of {', '.join(kinds)}" if len(kinds) > 1 else ""
         message = f"a mapping is needed{with_kind}"
-    shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {_yaml_name(value)}"
+    kind = "mapping" if isinstance(value, dict) else type(value).__name__
+    shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {kind}"
     return f"{key} = {shown}: {message[:1].lower()}{message[1:]}"
 
 
@@ -101,10 +102,6 @@ def near_hint(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """`did you mean '…'? ` with the known name that is most alike; empty where none is."""
     near = difflib.get_close_matches(name, [*known], n=1, cutoff=cutoff)
     return f"did you mean {near[0]!r}? " if near else ""
-
-
-def _yaml_name(value: object) -> str:
-    return "mapping" if isinstance(value, dict) else "list" if isinstance(value, list) else type(value).__name__
 
 
 def _place_of(location: Sequence[int | str], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:

@@ -8,9 +8,8 @@ from pydantic import Field, model_validator
 
 from datagen.config.base import Settings
 from datagen.config.device import DeviceConfig
-from datagen.config.distributions import Distribution, Fraction, support, within
+from datagen.config.distributions import Distribution, Fraction, NotNegative, support, within
 
-NotNegative = Annotated[Distribution, within(0)]
 DetectorClass = Literal["lab_si", "si_array", "ingaas", "consumer_dtof", "any"]
 
 

@@ -174,6 +174,7 @@ def _allowed(low: float, high: float, open_low: bool) -> str:
     return f"must be ≤ {high:g}" if low == -np.inf else f"must be {at_least} and ≤ {high:g}"
 
 
+NotNegative = Annotated[Distribution, within(0)]
 Length = Annotated[Distribution, within(0, open_low=True)]
 """A distribution of positive lengths, metres."""
 Fraction = Annotated[Distribution, within(0, 1)]

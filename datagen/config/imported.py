@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from datagen.config.base import Settings
-
-Metres = Annotated[float, Field(gt=0, le=1e5)]
+from datagen.config.scans import Metres
 
 
 class ImportedFile(Settings):

@@ -10,8 +10,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from datagen.config.base import near_hint
-from datagen.config.distributions import Count, Distribution, Fraction, Length, Uniform, support, within
-from datagen.config.scene_layouts import NonNegative
+from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, support, within
 from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
@@ -158,7 +157,7 @@ class Standing(Item):
     placement: Literal["floor", "wall", "hanging"] = "floor"
     """`floor`: anywhere, rotated by `rotation_deg`. `wall`: back to a wall of the hidden part; `along`, `across` and
     `rotation_deg` then follow from the wall. `hanging`: from the ceiling."""
-    elevation_m: NonNegative = 0.0
+    elevation_m: NotNegative = 0.0
     """Height of the lowest point above the floor; hanging: the gap between ceiling and highest point."""
 
 

@@ -14,8 +14,6 @@ from datagen.config.distributions import Distribution, Fraction, Length, Uniform
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_relay import RelayWall
 
-NonNegative = Annotated[Distribution, within(0)]
-
 
 class Layout(Settings):
     """What all layouts share. Every dimension is drawn anew for every scene."""

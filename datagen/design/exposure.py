@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
@@ -30,9 +29,8 @@ from datagen.detector import Exposure, Spad, detector_for
 from datagen.detector.own_light import own_light, squared_over
 from datagen.errors import InputError
 from datagen.records import Scene, Transient
+from datagen.records.arrays import Floats
 from datagen.scene import generate_scene
-
-Array = NDArray[np.float64]
 
 OBJECTS = 48
 """Number of objects at which pilot scenes are enough: the median significance is then known to about a fifth. With
@@ -45,8 +43,6 @@ PILOTS = 64
 class _Pilot:
     """The objects of a pilot scene under its detector, in one cycle.
 
-    Attributes
-    ----------
     counter_max : of the detector. rate_hz : laser pulses per second.
     counts : (n,) expected counts of the n bins of all histograms, in descending order.
     squares : object → (n,) Σ s²/b of each of these bins and all fainter ones.
@@ -56,11 +52,11 @@ class _Pilot:
 
     counter_max: int | None
     rate_hz: float
-    counts: Array
-    squares: dict[str, Array]
+    counts: Floats
+    squares: dict[str, Floats]
 
     @cached_property
-    def full(self) -> Array:
+    def full(self) -> Floats:
         """(n,) the number of cycles after which each bin is full."""
         maximum = math.inf if self.counter_max is None else float(self.counter_max)
         most = np.full(len(self.counts), math.inf)
@@ -145,9 +141,9 @@ def _pilots(config: DatasetConfig, request: ExposureFor) -> Iterator[_Pilot]:
 
 def _of_one_cycle(
     transient: Transient, scene: Scene, spad: Spad, exposure: Exposure
-) -> tuple[Array, dict[str, Array]]:
+) -> tuple[Floats, dict[str, Floats]]:
     """The `counts` and `squares` of a `_Pilot`, from its transient under an exposure of one cycle."""
-    counts, squares = list[Array](), [list[Array]() for _ in scene.objects]
+    counts, squares = list[Floats](), [list[Floats]() for _ in scene.objects]
     parts, unbounded = [transient.parts[name] for name in scene.objects], replace(spad, counter_max=None)
     for block in own_light(transient.total, parts, transient.time, unbounded, exposure):
         everything = block.everything.reshape(-1)

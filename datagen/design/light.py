@@ -23,8 +23,6 @@ from datagen.transport.visibility.raycast import Raycaster
 class Light:
     """The arguments of the transport.
 
-    Attributes
-    ----------
     scene, accuracy : scene and accuracy without the effects that are left out.
     seed : seed of the scene's own random stream.
     caster : of the scene's triangles, if there is one already.
@@ -41,8 +39,7 @@ class Light:
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
     def background(self) -> Transient:
-        """The transient of the scene without its objects, from the same random numbers: paths that no object touches
-        are the same."""
+        """The transient of the scene without its objects, from the same random numbers: other paths stay the same."""
         empty = self.scene.without(*self.scene.objects)
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 
@@ -61,17 +58,11 @@ def light_of(
 ) -> Light:  # fmt: skip
     """The arguments of the transport for scene `index`, given its `transport_effects` and its detector."""
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    accuracy = replace(accuracy, faint_part=_one_detection(spad, exposure))
-    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
-
-
-def _one_detection(spad: Spad, exposure: Exposure) -> float:
-    """Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average.
-
-    The error of an object with less light than this does not matter.
-    """
+    # Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average: the error
+    # of an object with less light than that does not matter.
     counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
-    return 1.0 / counted if counted > 0 else 0.0
+    accuracy = replace(accuracy, faint_part=1.0 / counted if counted > 0 else 0.0)
+    return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
 
 
 COARSE_TARGET = 0.1

@@ -8,14 +8,11 @@ probability q_i = −expm1(−λ_i), at a cost that does not depend on the numbe
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled, subroutine
 from datagen.detector.dead_time import Equilibrium, Pieces, fires_early
 from datagen.detector.random_numbers import Stream, binomial, exponential
-
-Flux = NDArray[np.float64]
-Counts = NDArray[np.int64]
+from datagen.records.arrays import Floats, Ints
 
 _RUN_CYCLES = 64
 """Cycles of one run of the ensemble. The variance of a total is 10 % too large at worst; with half as many cycles its
@@ -23,7 +20,7 @@ error doubles, and the time is halved."""
 
 
 @compiled()
-def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, streams: Stream) -> Counts:
+def draw_in_order(flux: Floats, edges: Floats, dead_time: float, cycles: int, streams: Stream) -> Ints:
     """(h, n) detections of synchronous detectors with flux (h, n), detection by detection.
 
     R armed cycles fire together at the rate R λ(t): the next detection is where ∫ R dΛ has grown by Exp(1). It leaves
@@ -85,7 +82,7 @@ def draw_in_order(flux: Flux, edges: Flux, dead_time: float, cycles: int, stream
 
 
 @compiled()
-def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
+def draw_hazard_chain(flux: Floats, cycles: int, stream: Stream) -> Ints:
     """(n,) counts with at most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
     The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), but no rounding can push a sum of probabilities beyond 1.
@@ -100,7 +97,7 @@ def draw_hazard_chain(flux: Flux, cycles: int, stream: Stream) -> Counts:
 
 
 @compiled()
-def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Counts:
+def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Ints:
     """(bins,) counts with several detections in a cycle: a cycle that fired is armed again after the dead time.
 
     A detection is uniform within its piece (`dead_time.PIECE_FLUX` keeps this error small), so its return is uniform
@@ -146,7 +143,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
 
 
 @subroutine()
-def _return_windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Flux, Counts, Counts]:
+def _return_windows(flux: Floats, edges: Floats, dead_time: float) -> tuple[Floats, Floats, Ints, Ints]:
     """(n,) probability q that an armed cycle fires in a piece; (n,) probability that a cycle which fired in it fires
     again while it returns, in pieces `first … after − 1`; (n,) `first` and (n,) `after`.
 
@@ -173,7 +170,7 @@ def _return_windows(flux: Flux, edges: Flux, dead_time: float) -> tuple[Flux, Fl
 
 
 @subroutine()
-def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edges: Flux, out: Flux) -> int:
+def _hazards(start: float, stop: float, first: int, flux: Floats, fires: Floats, edges: Floats, out: Floats) -> int:
     """Number of pieces, from `first` on, that overlap `start … stop`; `out` gets for each of them the probability
     that a cycle which returns at a uniform moment of `start … stop` fires there first.
 
@@ -197,7 +194,7 @@ def _hazards(start: float, stop: float, first: int, flux: Flux, fires: Flux, edg
             return k
 
 
-def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Counts:
+def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Ints:
     """(n,) free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
     The exposure is split into independent runs of `_RUN_CYCLES` cycles (more if the dead time spans cycles), each of
@@ -226,7 +223,7 @@ def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Coun
     return counts
 
 
-def _flux_before(state: Equilibrium) -> tuple[Flux, Flux]:
+def _flux_before(state: Equilibrium) -> tuple[Floats, Floats]:
     """(m,) flux and (m,) ends of the pieces of a dead time that ends at phase 0, counted from its start.
 
     A diode armed at its start fires at most once in it, and this flux makes it fire with the density of detections

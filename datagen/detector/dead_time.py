@@ -17,12 +17,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled, subroutine
 from datagen.errors import InputError
-
-Array = NDArray[np.float64]
+from datagen.records.arrays import Floats, Ints
 
 PIECE_FLUX = 0.0125
 """Most events in a piece. The slope of the detections within a piece is neglected; halved, this error falls
@@ -48,18 +46,18 @@ START_TOLERANCE = 1e-8
 class Pieces(NamedTuple):
     """The bins of a period cut into m pieces: (m,) flux and bin number, (m + 1,) edges and the dead time, seconds."""
 
-    flux: Array
-    bin_of: NDArray[np.int64]
-    edges: Array
+    flux: Floats
+    bin_of: Ints
+    edges: Floats
     dead_time: float
 
-    def per_bin(self, values: Array, bins: int) -> Array:
+    def per_bin(self, values: Floats, bins: int) -> Floats:
         """(bins,) sums of the pieces' values (m,) over each bin."""
         return np.bincount(self.bin_of, values, bins).astype(np.float64)
 
 
 def pieces_of(
-    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
+    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     piece_flux: float = PIECE_FLUX,
 ) -> Pieces:  # fmt: skip
     """The pieces of a period's bins. Bins longer than `width_s` are background, and are cut more finely.
@@ -81,8 +79,8 @@ def pieces_of(
 
 @compiled()
 def _pieces_per_bin(
-    flux: Array, edges: Array, width: float, dead_time: float, shorter: bool, piece_flux: float
-) -> Array:
+    flux: Floats, edges: Floats, width: float, dead_time: float, shorter: bool, piece_flux: float
+) -> Floats:
     """(n,) number of pieces of each bin, as floats, which hold numbers too large to count as well."""
     most = max(piece_flux, flux.sum() / _FLUX_PIECES)
     parts = np.ones(len(flux))
@@ -106,7 +104,7 @@ def _pieces_per_bin(
 
 
 @compiled()
-def _cut_bins(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], Array]:
+def _cut_bins(flux: Floats, edges: Floats, count: Ints) -> tuple[Floats, Ints, Floats]:
     """Flux, bin number and edges of the pieces, `count` (n,) of them in each bin."""
     total = count.sum()
     pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
@@ -125,8 +123,8 @@ def _cut_bins(flux: Array, edges: Array, count: NDArray[np.int64]) -> tuple[Arra
 
 
 def synchronous_mean(
-    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
-) -> Array:
+    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
+) -> Floats:
     """(…, n) expected detections per cycle and bin when every cycle starts armed.
 
     flux, edges_s : (…, n) events per cycle and bin, (n + 1,) bin edges from 0 to the period; piece_flux : most events
@@ -160,7 +158,7 @@ def fires_early(x: float, low: float, high: float) -> float:
 
 
 @subroutine()
-def _return_weights(start: float, stop: float, first: int, edges: Array, flux: Array, weights: Array) -> int:
+def _return_weights(start: float, stop: float, first: int, edges: Floats, flux: Floats, weights: Floats) -> int:
     """Number of pieces, from `first` on, at whose start a return that is uniform in `start … stop` counts as armed;
     their weights are put into `weights`.
 
@@ -189,11 +187,11 @@ def _return_weights(start: float, stop: float, first: int, edges: Array, flux: A
             return k + 1
 
 
-Table = tuple[Array, NDArray[np.int64], NDArray[np.int64], Array]
+Table = tuple[Floats, Ints, Ints, Floats]
 
 
 @compiled()
-def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
+def return_table(flux: Floats, edges: Floats, dead_time: float) -> Table:
     """The table by which `run_cycle` takes detections to their returns: (q, first, offset, weights).
 
     q : (m,) probability that an armed diode fires in a piece. A diode that fired in piece i returns to pieces
@@ -222,7 +220,7 @@ def return_table(flux: Array, edges: Array, dead_time: float) -> Table:
 
 
 @compiled()
-def run_cycle(table: Table, armed: float, returning: Array, following: Array) -> tuple[Array, float]:
+def run_cycle(table: Table, armed: float, returning: Floats, following: Floats) -> tuple[Floats, float]:
     """(m,) detections per piece in one cycle, and the share of diodes armed at its end.
 
     armed : the share at its start. returning : (m + 1,) shares that are armed again at the start of each piece, to
@@ -256,7 +254,7 @@ def run_cycle(table: Table, armed: float, returning: Array, following: Array) ->
 
 
 @subroutine()
-def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
+def _edge_at(edges: Floats, index: int, m: int, period: float) -> float:
     """Seconds of edge number `index`, which may run past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)
 
@@ -265,26 +263,24 @@ def _edge_at(edges: Array, index: int, m: int, period: float) -> float:
 class Equilibrium:
     """The state of a free-running detector long after it was switched on.
 
-    Attributes
-    ----------
     flux : (n,) events per cycle and bin. pieces : the bins cut into pieces, and the dead time.
     detections : (m,) expected detections per cycle and piece.
     armed : probability that the diode is armed at phase 0.
     """
 
-    flux: Array
+    flux: Floats
     pieces: Pieces
-    detections: Array
+    detections: Floats
     armed: float
 
     @property
-    def mean(self) -> Array:
+    def mean(self) -> Floats:
         """(n,) expected detections per cycle and bin."""
         return self.pieces.per_bin(self.detections, len(self.flux))
 
 
 def equilibrium(
-    flux: Array, edges_s: Array, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
+    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
     tolerance: float = _MEAN_TOLERANCE,
 ) -> Equilibrium:  # fmt: skip
     """The equilibrium of a free-running detector with a dead time of any length.
@@ -293,8 +289,6 @@ def equilibrium(
     one cycle's recursion. A moderate flux reaches it in a few cycles from a guess near equilibrium. A high flux keeps
     detections in step for very many cycles, so its fixed point is found from sparse linear equations.
 
-    Parameters
-    ----------
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
     width_s : bins longer than this are background, cut more finely.
     shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.
@@ -317,7 +311,7 @@ def equilibrium(
     return Equilibrium(flux, long, detections, max(1.0 - dead, 0.0))
 
 
-def _tail_sum(edges: Array, values: Array, length: float) -> float:
+def _tail_sum(edges: Floats, values: Floats, length: float) -> float:
     """Sum of piecewise uniform `values` over the last `length` of the period."""
     if length <= 0:
         return 0.0
@@ -325,7 +319,7 @@ def _tail_sum(edges: Array, values: Array, length: float) -> float:
     return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
 
 
-def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Array:
+def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Floats:
     """(m,) detections per cycle and piece in equilibrium, for a dead time shorter than the period.
 
     most : the most flux in any interval of the dead time.
@@ -337,7 +331,7 @@ def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Array:
     piece, due_in = _returns(table)
     late = due_in >= m
     due = table[3][late] * start[piece[late]]
-    returning: Array = np.bincount(due_in[late] - m, due, m + 1).astype(np.float64)
+    returning: Floats = np.bincount(due_in[late] - m, due, m + 1).astype(np.float64)
     armed = max(1.0 - returning.sum(), 0.0)
     scale = armed + returning.sum()
     armed, returning = armed / scale, returning / scale
@@ -351,7 +345,7 @@ def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Array:
     return _solve(table)
 
 
-def _solve(table: Table) -> Array:
+def _solve(table: Table) -> Floats:
     """(m,) detections of the fixed point, from A_{i+1} − A_i + D_i − Σ_k w_{k→i+1} D_k = 0 with D_k = g_k A_k.
 
     These equations add up to 0 = 0, so one of them is replaced: all shares, armed or due to return, add up to 1. The
@@ -384,24 +378,24 @@ def _solve(table: Table) -> Array:
     matrix = csc_matrix((values, (rows, columns)), shape=(m, m))
     right = np.zeros(m)
     right[-1] = 1.0
-    armed: Array = splu(matrix).solve(right)
+    armed: Floats = splu(matrix).solve(right)
     return gain * np.maximum(armed, 0.0)
 
 
-def _returns(table: Table) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _returns(table: Table) -> tuple[Ints, Ints]:
     """For every weight of the table its pieces of detection and of return, whose numbers run past the period."""
     _, first, offset, weights = table
     piece = np.repeat(np.arange(len(first)), np.diff(offset))
     return piece, first[piece] + np.arange(len(weights)) - offset[piece]
 
 
-def most_in_window(flux: Array, edges: Array, length: float) -> Array:
+def most_in_window(flux: Floats, edges: Floats, length: float) -> Floats:
     """(…,) the most flux (…, n) in any interval of `length` < period seconds, across the end of the period too."""
     period = edges[-1]
     cumulative = np.concatenate([np.zeros((*flux.shape[:-1], 1)), np.cumsum(flux, axis=-1)], axis=-1)
     total, before = cumulative[..., -1:], cumulative[..., :-1]
 
-    def until(times: Array) -> Array:
+    def until(times: Floats) -> Floats:
         """(…, n) the integral of the flux from the start of each bin until `times`, below two periods."""
         late = times >= period
         phase = times - np.where(late, period, 0.0)

@@ -23,9 +23,9 @@ from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler,
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import check_number, shown
 
-Array = NDArray[np.float64]
 Counts = NDArray[np.integer]
 
 
@@ -67,11 +67,10 @@ def detect(
     >>> counts.shape, counts.dtype.name, bool(900 < counts.sum() < 2100)
     ((4,), 'int64', True)
     """
-    counts, _ = detect_and_choice(
+    return detect_and_choice(
         transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
         first_pixel=first_pixel, dtype=dtype,
-    )  # fmt: skip
-    return counts
+    )[0]  # fmt: skip
 
 
 def detect_and_choice(
@@ -113,7 +112,7 @@ def detect_and_choice(
 def expected_histogram(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, *, approximate: bool = False,
     first_pixel: int = 0,
-) -> Array:  # fmt: skip
+) -> Floats:  # fmt: skip
     """Expected counts per bin after an exposure: the exact mean of `detect` over all seeds.
 
     The mean under a dead time is the solution of a renewal equation, bin after bin (`datagen.detector.dead_time`); no
@@ -178,7 +177,7 @@ def choose_sampler(
 
 
 def _choose_block(
-    measured: Measurement, first_laser: int, flux: Array, tolerance: float, approximate: bool
+    measured: Measurement, first_laser: int, flux: Floats, tolerance: float, approximate: bool
 ) -> Choices:
     """How each histogram of a block of flux (laser, pixel, n) is drawn; where crosstalk couples the pixels of a laser
     point, all of them are drawn alike."""
@@ -194,9 +193,7 @@ def _choose_block(
     return choose(flux.reshape(-1, n), measured.cycle, alone, *others, lambda row: measured.where(first + row))
 
 
-def _draw_block(
-    measured: Measurement, first_laser: int, flux: Array, choices: Choices, streams: Stream
-) -> NDArray[np.int64]:
+def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, streams: Stream) -> Ints:
     """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
     spad, cycles = measured.spad, measured.exposure.cycles
     _, pixels, n = flux.shape
@@ -226,7 +223,7 @@ def _draw_block(
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stream) -> NDArray[np.int64]:
+def _draw_one(measured: Measurement, flux: Floats, sampler: Sampler, stream: Stream) -> Ints:
     """(m,) detections of one pixel of flux (m,) in `measured.finer`, by a sampler other than Poisson's."""
     cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
     bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
@@ -242,7 +239,7 @@ def _draw_one(measured: Measurement, flux: Array, sampler: Sampler, stream: Stre
     return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), stream)
 
 
-def _saturate_mean(mean: Array, flux: Array, measured: Measurement, approximate: bool) -> Array:
+def _saturate_mean(mean: Floats, flux: Floats, measured: Measurement, approximate: bool) -> Floats:
     """(laser, pixel, bin) mean counts of counters that stay at their maximum, from the mean counts without one.
 
     flux : (laser, pixel, n). Raises `InputError` where the law of the counts is unknown, unless `approximate`.

@@ -14,16 +14,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled, subroutine
 from datagen.detector.dead_time import Equilibrium
 from datagen.detector.flux import Cycle
 from datagen.detector.random_numbers import Stream, exponential, uniform
 from datagen.detector.spad import Spad
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from datagen.records.arrays import Floats, Ints
 
 _BURN_IN_CYCLES = 24
 """Least number of cycles simulated before an exposure, in which pixels forget that they started armed. With half as
@@ -39,11 +36,11 @@ periods is 10⁻¹⁰ of one period; with half as many it is half of that."""
 class _Period(NamedTuple):
     """The bins of a laser period, in the form that kernels take; see `Cycle`."""
 
-    edges: Array
+    edges: Floats
     width: float
     # Number of the first bins, which lie on multiples of the bin width: their numbers need no search.
     lattice: int
-    gate: Array
+    gate: Floats
 
 
 class _Diode(NamedTuple):
@@ -53,8 +50,8 @@ class _Diode(NamedTuple):
     synchronous: bool
     paralyzable: bool
     # Expected releases that an avalanche adds to each trap, and the release times of the traps.
-    loads: Array
-    times: Array
+    loads: Floats
+    times: Floats
     crosstalk: float
     columns: int
 
@@ -65,12 +62,14 @@ def burn_in_cycles(spad: Spad, period_s: float) -> int:
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 
 
-def draw_avalanches(flux: Array, cycle: Cycle, spad: Spad, cycles: int, stream: Stream) -> Ints:
+def draw_avalanches(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, stream: Stream) -> Ints:
     """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
     return _draw(flux, cycle, spad, -burn_in_cycles(spad, cycle.period_s), 0.0, cycles, stream)
 
 
-def draw_free_running(flux: Array, cycle: Cycle, spad: Spad, cycles: int, state: Equilibrium, stream: Stream) -> Ints:
+def draw_free_running(
+    flux: Floats, cycle: Cycle, spad: Spad, cycles: int, state: Equilibrium, stream: Stream
+) -> Ints:
     """(n,) detections in `cycles` laser periods of a detector with flux (n,) that has been running for ever.
 
     The moment at which it is armed first is drawn from the equilibrium, so the mean is exact for any number of
@@ -81,7 +80,7 @@ def draw_free_running(flux: Array, cycle: Cycle, spad: Spad, cycles: int, state:
 
 
 def _draw(
-    flux: Array, cycle: Cycle, spad: Spad, first_cycle: int, first_phase: float, cycles: int, stream: Stream
+    flux: Floats, cycle: Cycle, spad: Spad, first_cycle: int, first_phase: float, cycles: int, stream: Stream
 ) -> Ints:
     """(pixel, n) detections in cycles 0 … `cycles` − 1 of pixels armed from (`first_cycle`, `first_phase`) on."""
     pixels, n = flux.shape
@@ -117,7 +116,7 @@ def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
 
 @compiled()
 def _run(
-    flux: Array, period: _Period, diode: _Diode, first_cycle: int, first_phase: float, cycles: int, stream: Stream
+    flux: Floats, period: _Period, diode: _Diode, first_cycle: int, first_phase: float, cycles: int, stream: Stream
 ) -> Ints:
     """(pixel, n) detections in cycles 0 … `cycles` − 1; all pixels are armed from the first moment on."""
     pixels, n = flux.shape
@@ -203,7 +202,7 @@ def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting
 
 
 @subroutine()
-def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
+def _fill_inverse(flux: Floats, cumulative: Floats, guide: Ints) -> None:
     """Fill in `cumulative` (n + 1,), the flux Λ before each bin, and `guide` (n,), the bins in which Λ reaches the
     shares 0, 1/n, 2/n, … of the whole: there the search for a value of Λ starts."""
     n = len(flux)
@@ -217,7 +216,7 @@ def _fill_inverse(flux: Array, cumulative: Array, guide: Ints) -> None:
 
 
 @subroutine()
-def _bin_of(edges: Array, phase: float) -> int:
+def _bin_of(edges: Floats, phase: float) -> int:
     """Number of the bin in which a phase lies, by bisection."""
     low, high = 0, len(edges) - 1
     while high - low > 1:
@@ -231,7 +230,7 @@ def _bin_of(edges: Array, phase: float) -> int:
 
 @subroutine()
 def _next_photon(
-    cumulative: Array, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
+    cumulative: Floats, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
 ) -> tuple[int, float, int]:
     """(cycle, phase, bin) of the first photon detected after (`cycle`, `phase`), where Λ has grown by Exp(1).
 

@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.special
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector.dead_time import equilibrium, synchronous_mean
 from datagen.detector.flux import Cycle, cut_edges
 from datagen.detector.spad import Spad
-
-Array = NDArray[np.float64]
+from datagen.records.arrays import Floats, Ints
 
 _ROUNDS = 200
 """Most rounds of a self-consistent mean, which settles in 5 to 30. Half as many would do, too."""
@@ -25,13 +23,13 @@ avalanches caused in a piece are taken as uniform there. With half as many the m
 error."""
 
 
-def one_per_cycle_mean(flux: Array) -> Array:
+def one_per_cycle_mean(flux: Floats) -> Floats:
     """(…, n) probability p_i = −expm1(−λ_i) exp(−Λ_{i−1}) that the first event of a cycle falls into bin i."""
     before = np.cumsum(flux, axis=-1) - flux
     return -np.expm1(-flux) * np.exp(-np.maximum(before, 0.0))
 
 
-def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+def mean_detections(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
     """(pixel, n) expected detections per cycle of the pixels of one laser point with flux (pixel, n).
 
     Exact, except for afterpulsing and crosstalk together with a dead time (`has_exact_mean`). There the events that
@@ -41,7 +39,7 @@ def mean_detections(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     return detections_and_events(flux, cycle, spad)[0]
 
 
-def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
+def detections_and_events(flux: Floats, cycle: Cycle, spad: Spad) -> tuple[Floats, Floats]:
     """(pixel, n) `mean_detections`, and (pixel, n) all events per cycle: those of `flux` and those that avalanches
     cause. Their ratio is the probability that an event finds the diode armed."""
     has_traps, has_crosstalk = spad.afterpulse_probability > 0, spad.crosstalk_probability > 0 and len(flux) > 1
@@ -57,7 +55,7 @@ def detections_and_events(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array,
     return detections, events
 
 
-def _with_short_bins(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.int64]]:
+def _with_short_bins(cycle: Cycle, longest_s: float) -> tuple[Cycle, Ints]:
     """The cycle with its long bins cut into equal parts of about `longest_s`, and (n,) the number of parts of each
     bin.
 
@@ -70,8 +68,8 @@ def _with_short_bins(cycle: Cycle, longest_s: float) -> tuple[Cycle, NDArray[np.
 
 
 def _self_consistent(
-    flux: Array, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool
-) -> tuple[Array, Array]:
+    flux: Floats, cycle: Cycle, spad: Spad, has_traps: bool, has_crosstalk: bool
+) -> tuple[Floats, Floats]:
     """(pixel, n) detections and (pixel, n) all events per cycle, repeated until they agree with each other."""
     shared, released = np.zeros_like(flux), np.zeros_like(flux)
     detections, total = np.zeros_like(flux), flux
@@ -100,7 +98,7 @@ def counts_are_poisson(spad: Spad, pixels: int) -> bool:
     return spad.mode == "ideal" or (spad.dead_time_s == 0 and not _is_coupled(spad, pixels))
 
 
-def counts_are_binomial(flux: Array, cycle: Cycle, spad: Spad, pixels: int) -> bool:
+def counts_are_binomial(flux: Floats, cycle: Cycle, spad: Spad, pixels: int) -> bool:
     """Whether each bin counts a cycle at most once and cycles are independent, for flux (…, n).
 
     This holds where the dead time leaves one detection a cycle, or one a bin, all bins being equal, and no jitter
@@ -119,7 +117,7 @@ def _is_coupled(spad: Spad, pixels: int) -> bool:
     return causes and spad.mode != "ideal"
 
 
-def neighbour_sum(values: Array, columns: int) -> Array:
+def neighbour_sum(values: Floats, columns: int) -> Floats:
     """(pixel, n) sum of `values` (pixel, n) over each pixel's nearest neighbours, in rows of `columns` pixels."""
     pixels, n = values.shape
     rows = -(-pixels // columns)
@@ -134,7 +132,7 @@ def neighbour_sum(values: Array, columns: int) -> Array:
     return out.reshape(rows * columns, n)[:pixels]
 
 
-def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+def _mean_of_photons(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
     """(k, n) expected detections per cycle of independent events with flux (k, n)."""
     dead_time, synchronous = spad.dead_time_s, spad.mode == "synchronous"
     if dead_time == 0:
@@ -156,7 +154,7 @@ def _mean_of_photons(flux: Array, cycle: Cycle, spad: Spad) -> Array:
     return out
 
 
-def active_span(flux: Array, cycle: Cycle) -> Array:
+def active_span(flux: Floats, cycle: Cycle) -> Floats:
     """(…,) seconds from the first event that is possible with flux (…, n) to the last one that can be recorded."""
     active = flux[..., : cycle.front] > 0
     first = active.argmax(axis=-1)
@@ -164,16 +162,16 @@ def active_span(flux: Array, cycle: Cycle) -> Array:
     return np.where(active.any(axis=-1), cycle.edges_s[last + 1] - cycle.edges_s[first], 0.0)
 
 
-def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: bool) -> Array:
+def _paralyzable_mean(flux: Floats, edges: Floats, dead_time: float, synchronous: bool) -> Floats:
     """(n,) ∫ λ(t) exp(−[Λ(t) − Λ(t − τ)]) dt over each bin, the exponent being linear between edges and edges + τ."""
     period = edges[-1]
     cumulative = np.append(0.0, np.cumsum(flux))
     total = cumulative[-1]
 
-    def flux_before(t: Array) -> Array:
+    def flux_before(t: Floats) -> Floats:
         """Λ(t), continued over the periods before; 0 before the start of a synchronous cycle."""
         laps = np.floor(t / period)
-        value: Array = np.interp(t - laps * period, edges, cumulative) + laps * total
+        value: Floats = np.interp(t - laps * period, edges, cumulative) + laps * total
         return np.maximum(value, 0.0) if synchronous else value
 
     knots = np.unique(np.concatenate([edges, (edges + dead_time) % period]))
@@ -189,7 +187,7 @@ def _paralyzable_mean(flux: Array, edges: Array, dead_time: float, synchronous: 
     return np.bincount(bin_of, events * mean, len(flux)).astype(np.float64)
 
 
-def _afterpulses(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Array:
+def _afterpulses(detections: Floats, flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
     """(n,) expected afterpulses per cycle and bin that avalanches `detections` (n,) cause beside other flux (n,)."""
     edges, synchronous = cycle.edges_s, spad.mode == "synchronous"
     cumulative = np.append(0.0, np.cumsum(detections))
@@ -211,7 +209,7 @@ def _afterpulses(detections: Array, flux: Array, cycle: Cycle, spad: Spad) -> Ar
 
 
 @compiled()
-def _release_one_trap(arriving: Array, rates: Array, releasing: Array, first: float) -> Array:
+def _release_one_trap(arriving: Floats, rates: Floats, releasing: Floats, first: float) -> Floats:
     """(n,) releases per cycle of a trap. Each bin adds `arriving` carriers, the first bin also `first`; carriers
     decay over a bin by e^{−rate}, and the share `releasing / rate` of these are released."""
     out = np.zeros(len(rates))
@@ -234,7 +232,7 @@ def _release_one_trap(arriving: Array, rates: Array, releasing: Array, first: fl
     return out
 
 
-def saturated_mean(mean: Array, cycles: int, counter_max: int, binomial: bool) -> Array:
+def saturated_mean(mean: Floats, cycles: int, counter_max: int, binomial: bool) -> Floats:
     """E[min(n, c)] for Poisson, or Binomial(cycles, mean / cycles), counts n of a counter that stays at c.
 
     E[min(n, c)] = E[n] P(n′ ≤ c − 2) + c P(n ≥ c), n′ the same count with one trial less: incomplete beta and gamma

@@ -19,8 +19,8 @@ from datagen.detector.irf import Kernel, measured_kernel, response_kernel, sprea
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.arrays import Bools, Floats, Ints
 
-Array = NDArray[np.float64]
 N = TypeVar("N", bound=np.generic)
 
 _MAX_PERIOD_BINS = 8_000_000
@@ -33,8 +33,6 @@ _RAMP_PIECES = 16
 class Cycle:
     """One laser period cut into n bins; phase 0 is the start of the time axis.
 
-    Attributes
-    ----------
     period_s, width_s : the laser period; the width of a recorded bin.
     edges_s : (n + 1,) bin edges from 0 to the period. The first `front` bins are the recorded window and a margin, on
         the lattice of the TDC (multiples of the bin width). Then come long background bins, if any. The last `back`
@@ -47,8 +45,8 @@ class Cycle:
 
     period_s: float
     width_s: float
-    edges_s: Array
-    gate: Array
+    edges_s: Floats
+    gate: Floats
     front: int
     back: int
     window: int
@@ -57,7 +55,7 @@ class Cycle:
     after_avalanche: Kernel
 
     @cached_property
-    def widths_s(self) -> Array:
+    def widths_s(self) -> Floats:
         """(n,) bin widths in seconds."""
         return np.diff(self.edges_s)
 
@@ -66,7 +64,7 @@ class Cycle:
         """Whether a period that is no whole number of bins ends in a shorter one."""
         return self.front == len(self.gate) and float(self.widths_s[-1]) < self.width_s * (1 - 1e-6)
 
-    def parts(self, pieces: int) -> NDArray[np.int64]:
+    def parts(self, pieces: int) -> Ints:
         """(n,) number of pieces of each bin if those of full width on the lattice are cut into `pieces`."""
         parts = np.ones(len(self.gate), np.int64)
         parts[: self.front - self.has_short_bin] = pieces
@@ -160,7 +158,7 @@ def _gate_span(time: TimeAxis, spad: Spad, period_s: float) -> tuple[float, floa
     return max(start, 0.0), min(stop, period_s)
 
 
-def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
+def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Floats:
     """Phases, ascending, between which the gate's sensitivity is nearly constant: its ramps are cut into pieces."""
     span = _gate_span(time, spad, period_s)
     if span is None:
@@ -170,7 +168,7 @@ def _gate_knots(time: TimeAxis, spad: Spad, period_s: float) -> Array:
     return np.asarray(knots[np.append(True, np.diff(knots) > 1e-12 * period_s)], np.float64)
 
 
-def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
+def _gate(edges_s: Floats, time: TimeAxis, spad: Spad, period_s: float) -> Floats:
     """(n,) mean sensitivity of each bin: the mean of a trapezoid 0 → 1 → 0."""
     span = _gate_span(time, spad, period_s)
     if span is None:
@@ -178,7 +176,7 @@ def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
     start, stop = span
     rise = spad.gate_rise_s
 
-    def ramp_integral(t: Array) -> Array:
+    def ramp_integral(t: Floats) -> Floats:
         """∫ from 0 to t of a ramp that is 0 at 0, 1 at `rise`, and 1 ever after."""
         return np.where(t < rise, 0.5 * t**2 / rise if rise > 0 else 0.0, t - 0.5 * rise) * (t > 0)
 
@@ -193,8 +191,6 @@ def _gate(edges_s: Array, time: TimeAxis, spad: Spad, period_s: float) -> Array:
 class Fold:
     """The bins of the period in which bins of the lattice lie: most coincide with one, a few are split over several.
 
-    Attributes
-    ----------
     first : number of the first bin of the lattice.
     bins : number of bins of the period.
     aligned : numbers of the lattice bins that are copied whole, bin k of the lattice to bin k of the period.
@@ -204,11 +200,11 @@ class Fold:
     first: int
     bins: int
     aligned: range
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
-    shares: Array
+    rows: Ints
+    columns: Ints
+    shares: Floats
 
-    def __call__(self, values: Array) -> Array:
+    def __call__(self, values: Floats) -> Floats:
         """(…, bins) values in the bins of the period, from values (…, lattice)."""
         out = np.zeros((*values.shape[:-1], self.bins))
         low, high = self.aligned.start, self.aligned.stop
@@ -218,7 +214,7 @@ class Fold:
         return out
 
 
-def cut_edges(edges_s: Array, parts: NDArray[np.int64]) -> Array:
+def cut_edges(edges_s: Floats, parts: Ints) -> Floats:
     """(m + 1,) edges of bins with edges (n + 1,) once bin i is cut into `parts[i]` equal bins."""
     number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
     starts = np.repeat(edges_s[:-1], parts) + number * np.repeat(np.diff(edges_s) / parts, parts)
@@ -233,7 +229,7 @@ def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
     return np.concatenate([values[..., n - back :], values[..., :front]], axis=-1)
 
 
-def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
+def fold_of(first: int, count: int, width_s: float, edges_s: Floats) -> Fold:
     """The `Fold` of lattice bins `first … first + count − 1` into the bins of the period, modulo its length."""
     period, bins = float(edges_s[-1]), len(edges_s) - 1
     # Bins of the period whose edges lie on multiples of the width are bins of the lattice themselves.
@@ -263,7 +259,7 @@ def fold_of(first: int, count: int, width_s: float, edges_s: Array) -> Fold:
     return Fold(first, bins, aligned, row, np.array(columns, np.int64), share_of)
 
 
-def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Array:
+def flux_per_cycle(transient: Floats, cycle: Cycle, spad: Spad, exposure: Exposure, first_pixel: int = 0) -> Floats:
     """(laser, pixel, n) λ, the expected avalanche-capable events per cycle in each bin of the period.
 
     transient : (laser, pixel, bin). first_pixel : number of its first pixel, on which hot pixels depend.
@@ -276,13 +272,13 @@ def flux_per_cycle(transient: Array, cycle: Cycle, spad: Spad, exposure: Exposur
     return flux
 
 
-def arrivals(light: Array, cycle: Cycle) -> Array:
+def arrivals(light: Floats, cycle: Cycle) -> Floats:
     """(laser, pixel, n) photons of `light` (laser, pixel, bin) in each bin of the period, displaced by the laser
     pulse and by carrier diffusion; a new array."""
     return cycle.light_fold(spread(light, cycle.before_avalanche))
 
 
-def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
+def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Floats:
     """(pixels,) dark counts per second of the pixels from number `first_pixel` on, some of which are hot."""
     rates = np.full(pixels, float(spad.dark_count_rate_hz))
     if spad.hot_pixel_fraction > 0:
@@ -290,12 +286,12 @@ def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
     return rates
 
 
-def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> NDArray[np.bool_]:
+def hot_pixels(spad: Spad, pixels: int, first_pixel: int = 0) -> Bools:
     """(pixels,) whether a pixel is hot: a property of the array, the same for every laser point and block."""
     return uniform_of_pixels(spad.hot_pixel_seed, 1, pixels, first_pixel)[:, 0] < spad.hot_pixel_fraction
 
 
-def uniform_of_pixels(seed: int, numbers: int, pixels: int, first_pixel: int) -> Array:
+def uniform_of_pixels(seed: int, numbers: int, pixels: int, first_pixel: int) -> Floats:
     """(pixels, numbers) uniform numbers in 0 … 1 that belong to the pixels from number `first_pixel` on."""
     # A counter-based generator gives each pixel its own words, so that a block needs no words of other pixels.
     key = np.random.SeedSequence(seed).generate_state(2, np.uint64)

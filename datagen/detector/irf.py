@@ -9,13 +9,11 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 import scipy.special
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled, subroutine
 from datagen.detector.spad import Pulse
 from datagen.errors import InputError
-
-Array = NDArray[np.float64]
+from datagen.records.arrays import Floats
 
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
@@ -30,7 +28,7 @@ more kernels go through the FFT, and faint bins beside a bright one lose digits.
 class Kernel:
     """Probabilities `weights[offset + before]`, which sum to 1, that light of one bin arrives `offset` bins later."""
 
-    weights: Array
+    weights: Floats
     before: int
 
     @property
@@ -47,7 +45,7 @@ class Kernel:
 IDENTITY = Kernel(np.ones(1), 0)
 
 
-def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Array:
+def response_cdf(t_s: Floats, sigma_s: float, tail_s: float = 0.0, tail_fraction: float = 1.0) -> Floats:
     """Probability that a photon is displaced by less than `t_s`: a Gaussian, of which a part is delayed further.
 
     With z = t/σ and Φ the normal distribution function,
@@ -65,7 +63,7 @@ def response_cdf(t_s: Array, sigma_s: float, tail_s: float = 0.0, tail_fraction:
     ratio = sigma_s / tail_s
     z = t / sigma_s
     log_delayed = 0.5 * ratio**2 - t / tail_s + scipy.special.log_ndtr(z - ratio)
-    cdf: Array = scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
+    cdf: Floats = scipy.special.ndtr(z) - tail_fraction * np.exp(np.minimum(log_delayed, 0.0))
     return cdf
 
 
@@ -118,7 +116,7 @@ def measured_kernel(width_s: float, pulse: Pulse, tail_s: float, tail_fraction: 
     return Kernel(weights, before + diffusion.before)
 
 
-def spread(values: Array, kernel: Kernel) -> Array:
+def spread(values: Floats, kernel: Kernel) -> Floats:
     """(…, n + taps − 1) convolution of values (…, n) with a kernel: `before` bins more at the front, `after` at the
     end.
 
@@ -139,7 +137,7 @@ def spread(values: Array, kernel: Kernel) -> Array:
 
 
 @compiled()
-def _convolved(values: Array, weights: Array) -> Array:
+def _convolved(values: Floats, weights: Floats) -> Floats:
     """(h, n + k − 1) convolution of each row of values (h, n) with weights (k,)."""
     out = np.zeros((len(values), values.shape[1] + len(weights) - 1))
     beside = padded(weights)
@@ -149,7 +147,7 @@ def _convolved(values: Array, weights: Array) -> Array:
 
 
 @subroutine()
-def padded(weights: Array) -> Array:
+def padded(weights: Floats) -> Floats:
     """(k + 6,) the weights (k,) with three zeros on either side, as `add_response` needs them."""
     # Here and elsewhere arrays are copied in loops: for an assignment of a slice numba compiles a check of the
     # shapes, which takes two seconds.
@@ -160,7 +158,7 @@ def padded(weights: Array) -> Array:
 
 
 @subroutine()
-def add_response(row: Array, beside: Array, out: Array) -> None:
+def add_response(row: Floats, beside: Floats, out: Floats) -> None:
     """Add the responses to a row of n bins to `out` of n + k − 1 bins; `beside` holds the k taps (`padded`).
 
     Four bins are added in one pass, which reads and writes `out` a quarter as often; four empty ones are skipped.

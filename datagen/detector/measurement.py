@@ -15,9 +15,8 @@ from datagen.detector.tdc import Tdc
 from datagen.detector.tdc_bins import TdcBins, pieces_for
 from datagen.errors import InputError
 from datagen.records import TimeAxis
+from datagen.records.arrays import Floats
 from datagen.records.checks import as_reals, check_integer, check_kind
-
-Array = NDArray[np.float64]
 
 _BLOCK_VALUES = 1 << 16
 """Most flux values of a block of laser points: 0.5 MB, which caches hold. Halved, the overhead of numpy's calls takes
@@ -28,14 +27,12 @@ a larger share of the time."""
 class Measurement:
     """The arguments of a call, checked, and what all its histograms share.
 
-    Attributes
-    ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     cycle, tdc : the laser period, and the converter of detections to records.
     first_laser, first_pixel : numbers of the first laser point and pixel.
     """
 
-    transient: Array
+    transient: Floats
     cycle: Cycle
     tdc: Tdc
     spad: Spad
@@ -80,7 +77,7 @@ class Measurement:
         unequal = TdcBins.of(self.cycle, pieces, self.spad, self.transient.shape[1], self.first_pixel)
         return self.cycle.cut(pieces), Tdc(self.cycle, unequal)
 
-    def in_finer(self, flux: Array) -> Array:
+    def in_finer(self, flux: Floats) -> Floats:
         """(…, m) flux in the bins of `finer`, from flux (…, n)."""
         pieces = pieces_for(self.cycle, self.spad)
         if pieces == 1:
@@ -98,7 +95,7 @@ class Measurement:
         laser, pixel = divmod(int(histogram), self.transient.shape[1])
         return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
 
-    def fluxes(self) -> Iterator[tuple[int, Array]]:
+    def fluxes(self) -> Iterator[tuple[int, Floats]]:
         """For each block of laser points, the number of its first one and its flux per cycle (laser, pixel, n)."""
         lasers, pixels, _ = self.transient.shape
         step = max(_BLOCK_VALUES // (pixels * len(self.cycle.gate)), 1)
@@ -119,7 +116,7 @@ def _has_crosstalk(spad: Spad) -> bool:
     return spad.crosstalk_probability > 0 and spad.mode != "ideal"
 
 
-def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Array:
+def _checked_transient(transient: ArrayLike, time: TimeAxis, photons_per_pulse: float) -> Floats:
     """(laser, pixel, bin) float64 view of a transient; raises `InputError` that names the first wrong entry."""
     values = as_reals("transient", transient)
     if values.ndim not in (1, 3):

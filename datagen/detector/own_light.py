@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.detector.expected import detections_and_events
 from datagen.detector.flux import Cycle, arrivals, cycle_of
@@ -24,8 +23,7 @@ from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-
-Array = NDArray[np.float64]
+from datagen.records.arrays import Floats
 
 NEGLIGIBLE = 1e-3
 """Share of the detections that dead time may remove, or avalanches add, without being taken into account. Halved, the
@@ -36,8 +34,6 @@ exact mean is solved for from half the flux on."""
 class OwnLight:
     """Expected detections of a block of laser points.
 
-    Attributes
-    ----------
     first : number of the block's first laser point.
     everything : (laser, pixel, bin) expected detections over the exposure in the bins of a histogram, background
         included.
@@ -46,13 +42,13 @@ class OwnLight:
     """
 
     first: int
-    everything: Array
-    own: tuple[Array, ...]
-    armed: Array
+    everything: Floats
+    own: tuple[Floats, ...]
+    armed: Floats
 
 
 def own_light(
-    transient: Array, lights: Sequence[Array], time: TimeAxis, spad: Spad, exposure: Exposure
+    transient: Floats, lights: Sequence[Floats], time: TimeAxis, spad: Spad, exposure: Exposure
 ) -> Iterator[OwnLight]:
     """Expected detections of a transient and of `lights`, which are parts of it, for one block of laser points after
     another.
@@ -80,12 +76,12 @@ def own_light(
         yield OwnLight(first, seen, tuple(lights_seen), np.broadcast_to(armed, flux.shape))
 
 
-def squared_over(own: Array, everything: Array) -> Array:
+def squared_over(own: Floats, everything: Floats) -> Floats:
     """s²/b of each bin, whose sum is the square of a light's significance; 0 where no detection is expected."""
     return own * np.divide(own, everything, out=np.zeros_like(own), where=everything > 0)
 
 
-def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Exposure) -> Array:
+def detections_per_photon(armed: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> Floats:
     """(…, bin) expected detections over the exposure for each photon at the aperture per emitted photon in a bin:
     N photons_per_pulse PDE gate D/λ.
 
@@ -98,7 +94,7 @@ def detections_per_photon(armed: Array, time: TimeAxis, spad: Spad, exposure: Ex
     return out
 
 
-def _detections(flux: Array, cycle: Cycle, spad: Spad) -> tuple[Array, Array]:
+def _detections(flux: Floats, cycle: Cycle, spad: Spad) -> tuple[Floats, Floats]:
     """(laser, pixel, n) expected detections per cycle of flux (laser, pixel, n), and the probability that an event
     finds the diode armed, of the same shape, or (1,) if it is 1 everywhere."""
     coupled = spad.crosstalk_probability > 0 and flux.shape[1] > 1

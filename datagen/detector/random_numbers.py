@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled, subroutine
 from datagen.errors import InputError
+from datagen.records.arrays import Floats, Ints
 from datagen.seeding import Purpose
 
-Array = NDArray[np.float64]
 Stream = NDArray[np.uint64]
 """(4,) the state of xoshiro256++ (Blackman & Vigna, ACM Trans. Math. Softw. 47, 36, 2021)."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
-def streams_of(seed: int, lasers: NDArray[np.int64], pixels: NDArray[np.int64]) -> Stream:
+def streams_of(seed: int, lasers: Ints, pixels: Ints) -> Stream:
     """(…, 4) a stream for each of the laser points and pixels, whose numbers ≥ 0 are broadcast.
 
     Under one seed no two streams start alike, because the first two words are a bijection of (laser, pixel). Raises
@@ -172,7 +172,7 @@ LARGEST_MEAN = 9.2e18
 """Largest mean of a Poisson number: counts of larger ones do not fit 64 bits. Halved, some that fit are refused."""
 
 
-def draw_poisson(mean: Array, streams: Stream, where: Callable[[int], str]) -> NDArray[np.int64]:
+def draw_poisson(mean: Floats, streams: Stream, where: Callable[[int], str]) -> Ints:
     """(h, bin) Poisson counts of means (h, bin), from streams (h, 4), one for each row.
 
     Raises `InputError`, naming the row by `where`, for counts beyond 64 bits.
@@ -181,7 +181,7 @@ def draw_poisson(mean: Array, streams: Stream, where: Callable[[int], str]) -> N
     return _poisson_counts(np.ascontiguousarray(mean), streams)
 
 
-def check_countable(mean: Array, where: Callable[[int], str]) -> None:
+def check_countable(mean: Floats, where: Callable[[int], str]) -> None:
     """Raise `InputError`, naming the row by `where` and the bin, if one of the means (h, bin) cannot be counted."""
     if not mean.max(initial=0.0) < LARGEST_MEAN:
         row, bin_ = (int(i) for i in np.argwhere(~(mean < LARGEST_MEAN))[0])
@@ -192,7 +192,7 @@ def check_countable(mean: Array, where: Callable[[int], str]) -> None:
 
 
 @compiled()
-def _poisson_counts(mean: Array, streams: Stream) -> NDArray[np.int64]:
+def _poisson_counts(mean: Floats, streams: Stream) -> Ints:
     """(h, bin) counts of means (h, bin): the events of a Poisson process of rate 1 along the running sum of the
     means.
 

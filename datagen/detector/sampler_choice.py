@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.detector.dead_time import PIECE_FLUX, most_in_window
 from datagen.detector.events import burn_in_cycles
@@ -16,8 +15,8 @@ from datagen.detector.flux import Cycle
 from datagen.detector.random_numbers import LARGEST_MEAN, check_countable
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
+from datagen.records.arrays import Bools, Floats, Ints
 
-Array = NDArray[np.float64]
 Where = Callable[[int], str]
 """Name of a histogram for error messages, from its number."""
 
@@ -59,8 +58,6 @@ class Sampler(IntEnum):
 class SamplerChoice:
     """The samplers of a transient's histograms; numbers are those of the brightest histogram unless stated otherwise.
 
-    Attributes
-    ----------
     sampler : name of the sampler of the brightest histogram.
     reason : why, in words.
     histograms : sampler name → number of histograms that it draws.
@@ -92,23 +89,21 @@ class SamplerChoice:
 class Choices:
     """How each of h histograms is drawn, or all pixels of each of h laser points if crosstalk couples them.
 
-    Attributes
-    ----------
     sampler : (h,) values of `Sampler`.
     in_order : (h,) whether the detections of a synchronous detector are so few that they are drawn one by one.
     flux, bias, deviation, detections : (h,) as of `SamplerChoice`.
     """
 
-    sampler: NDArray[np.int64]
-    in_order: NDArray[np.bool_]
-    flux: Array
-    bias: Array
-    deviation: Array
-    detections: Array
+    sampler: Ints
+    in_order: Bools
+    flux: Floats
+    bias: Floats
+    deviation: Floats
+    detections: Floats
 
 
 def choose(
-    flux: Array, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool, where: Where
+    flux: Floats, cycle: Cycle, spad: Spad, exposure: Exposure, tolerance: float, approximate: bool, where: Where
 ) -> Choices:
     """The choice for each of h histograms, from their flux (h, n); for pixels coupled by crosstalk, from its sum.
 
@@ -138,7 +133,10 @@ def choose(
         )  # fmt: skip
         chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
         if len(chained):
-            in_order[chained] = _in_order(totals[chained], detections[chained], cycle, spad)
+            # A chain cuts bins by their flux, and into pieces shorter than the dead time.
+            pieces = len(cycle.gate) + totals[chained] / PIECE_FLUX + cycle.period_s / spad.dead_time_s
+            few = detections[chained]
+            in_order[chained] = (few * _EVENT_NS < pieces * _CHAIN_NS) & (few <= MOST_EVENTS)
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
     if len(uncountable):
         check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
@@ -146,9 +144,9 @@ def choose(
 
 
 def _beyond_poisson(
-    flux: Array, cycle: Cycle, spad: Spad, approximate: bool, events: Array, detections: Array, burn_in: Array,
+    flux: Floats, cycle: Cycle, spad: Spad, approximate: bool, events: Floats, detections: Floats, burn_in: Floats,
     where: Where,
-) -> NDArray[np.int64] | Sampler:  # fmt: skip
+) -> Ints | Sampler:  # fmt: skip
     """(h,) samplers of histograms for which Poisson numbers would be too biased; parameters as of `choose`.
 
     events, detections : (h,) expected in the exposure. burn_in : (h,) detections simulated before the exposure, in
@@ -182,7 +180,7 @@ def _beyond_poisson(
     return np.where(many, Sampler.CYCLE_ENSEMBLE, Sampler.FREE_RUNNING_EVENTS)
 
 
-def _check_few(events: Array, where: Where, what: str, remedy: str) -> None:
+def _check_few(events: Floats, where: Where, what: str, remedy: str) -> None:
     """Raise `InputError` for the first histogram whose events (h,) are too many to be drawn one by one."""
     for row in np.flatnonzero(events > MOST_EVENTS):
         raise InputError(
@@ -190,14 +188,7 @@ def _check_few(events: Array, where: Where, what: str, remedy: str) -> None:
         )
 
 
-def _in_order(totals: Array, detections: Array, cycle: Cycle, spad: Spad) -> NDArray[np.bool_]:
-    """(h,) whether a synchronous detector's detections take less time one by one than bin by bin."""
-    # A chain cuts bins by their flux, and into pieces shorter than the dead time.
-    pieces = len(cycle.gate) + totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s
-    return np.asarray((detections * _EVENT_NS < pieces * _CHAIN_NS) & (detections <= MOST_EVENTS))
-
-
-def poisson_bias(flux: Array, cycle: Cycle, spad: Spad) -> Array:
+def poisson_bias(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
     """(…,) bound on the relative bias of any bin's mean if counts of flux (…, n) were drawn as Poisson numbers; 0 if
     they are Poisson numbers.
 

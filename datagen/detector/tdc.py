@@ -10,9 +10,7 @@ from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice
 from datagen.detector.irf import spread
 from datagen.detector.random_numbers import Stream, binomial, uniform
 from datagen.detector.tdc_bins import TdcBins
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
+from datagen.records.arrays import Floats, Ints
 
 
 class Tdc:
@@ -30,7 +28,7 @@ class Tdc:
         lattice = cycle.back + cycle.front
         # A period that is no whole number of bins ends in a shorter one. Its own records are displaced like a moment
         # in its middle. Records of full bins that are displaced into it are split by the fold.
-        self._from_short: Counts | None = None
+        self._from_short: Ints | None = None
         if cycle.has_short_bin and not jitter.is_identity:
             steps = np.arange(-jitter.before, jitter.after + 1) * cycle.width_s
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
@@ -51,7 +49,7 @@ class Tdc:
         self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
         self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
-    def mean(self, detections: Array, pixels: NDArray[np.int64] | None = None) -> Array:
+    def mean(self, detections: Floats, pixels: Ints | None = None) -> Floats:
         """(…, bins) expected records of expected detections (…, n) in the bins of the period, or in their pieces if
         the unequal bins ask for these.
 
@@ -63,17 +61,15 @@ class Tdc:
         records = [self._mean_in_equal_bins(part) for part in self._by_piece(detections)]
         return self._unequal.mean(self._joined(records), pixels)
 
-    def draw(self, detections: Counts, streams: Stream, pixels: NDArray[np.int64] | None = None) -> Counts:
-        """(…, bins) records of detections (…, n): a multinomial number for each bin, from streams (…, 4); `pixels` as
-        of `mean`."""
+    def draw(self, detections: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
+        """(…, bins) records of detections (…, n), multinomial, from streams (…, 4); `pixels` as of `mean`."""
         if self._unequal is None:
             return self._draw_in_equal_bins(detections, streams)
         records = [self._draw_in_equal_bins(part, streams) for part in self._by_piece(detections)]
         return self._unequal.draw(self._joined(records), streams, pixels)
 
     def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
-        """For each piece of a bin the (…, n) detections in that piece of every bin. Bins that are not cut count as
-        the middle piece."""
+        """For each piece of a bin its (…, n) detections in all bins; whole bins count as the middle one."""
         if self._pieces == 1:
             return [detections]
         parts = self._cycle.parts(self._pieces)
@@ -100,7 +96,7 @@ class Tdc:
             joined[..., first] = joined[..., first:].sum(axis=-1)
         return joined
 
-    def _mean_in_equal_bins(self, detections: Array) -> Array:
+    def _mean_in_equal_bins(self, detections: Floats) -> Floats:
         """(…, bins) expected records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         if jitter.is_identity:
@@ -117,7 +113,7 @@ class Tdc:
         out[..., : cycle.window] = folded[..., : cycle.window]
         return out
 
-    def _draw_in_equal_bins(self, detections: Counts, streams: Stream) -> Counts:
+    def _draw_in_equal_bins(self, detections: Ints, streams: Stream) -> Ints:
         """(…, bins) records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         out = np.zeros((*detections.shape[:-1], cycle.bins), np.int64)
@@ -151,7 +147,7 @@ class Tdc:
 
 
 @compiled()
-def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -> Counts:
+def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> Ints:
     """(h, n + taps − 1) counts after each of `counts` (h, n) has moved by `offsets[k]` bins with probability
     `weights[k]`. The weights descend and sum to 1.
     """
@@ -188,7 +184,7 @@ def _scatter(counts: Counts, weights: Array, offsets: Counts, streams: Stream) -
 
 @compiled()
 def _share_out(
-    counts: Counts, places: Counts, starts: Counts, columns: Counts, shares: Array, out: Counts, streams: Stream
+    counts: Ints, places: Ints, starts: Ints, columns: Ints, shares: Floats, out: Ints, streams: Stream
 ) -> None:
     """Add `counts[:, places[r]]` to `out`, split at random over the bins `columns[starts[r]:starts[r + 1]]`."""
     for h in range(len(counts)):

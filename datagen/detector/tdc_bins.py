@@ -20,9 +20,7 @@ from datagen.detector.flux import Cycle, uniform_of_pixels
 from datagen.detector.random_numbers import Stream, binomial
 from datagen.detector.spad import TDC_PERIOD_ACCURACY, Spad
 from datagen.errors import InputError
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
+from datagen.records.arrays import Floats, Ints
 
 PIECES = 8
 """Pieces of a bin, within which detections are taken as uniform. Of a bin with λ events per cycle at most the share
@@ -48,7 +46,7 @@ def pieces_for(cycle: Cycle, spad: Spad) -> int:
 
 
 @lru_cache(maxsize=8)
-def tdc_widths(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
+def tdc_widths(spad: Spad, pixels: int, first_pixel: int = 0) -> Floats:
     """(pixels or 1, bins of a period) widths of the TDC's bins over the mean width, of the pixels from number
     `first_pixel` on; one row if all pixels are alike.
 
@@ -80,8 +78,6 @@ def tdc_widths(spad: Spad, pixels: int, first_pixel: int = 0) -> Array:
 class TdcBins:
     """The sorting of records into the bins of the TDC.
 
-    Attributes
-    ----------
     pieces : number of pieces of a bin of the time axis.
     from_s : (n + 1,) edges of these pieces, in the window.
     to_s : (pixel or 1, window + 1) edges of the TDC's bins of each pixel.
@@ -89,8 +85,8 @@ class TdcBins:
     """
 
     pieces: int
-    from_s: Array
-    to_s: Array
+    from_s: Floats
+    to_s: Floats
     bins: int
 
     @classmethod
@@ -124,12 +120,12 @@ class TdcBins:
         return cls(pieces, fine.edges_s[: fine.window + 1], edges, cycle.bins)
 
     @property
-    def widths(self) -> Array:
+    def widths(self) -> Floats:
         """(pixel or 1, window) widths of the TDC's bins, in bins of the time axis."""
         return np.asarray(np.diff(self.to_s) / (self.pieces * (self.from_s[1] - self.from_s[0])))
 
     @property
-    def shares(self) -> tuple[Array, Counts]:
+    def shares(self) -> tuple[Floats, Ints]:
         """(pixel or 1, window) share of a bin's records that keep its number, and number of TDC bins that its records
         get into; for records in whole bins."""
         low, high = self.from_s[:-1], self.from_s[1:]
@@ -142,7 +138,7 @@ class TdcBins:
             touched[row] = filled[until] - filled[before]
         return np.maximum(within, 0.0) / (high - low), touched
 
-    def mean(self, records: Array, pixels: NDArray[np.int64] | None = None) -> Array:
+    def mean(self, records: Floats, pixels: Ints | None = None) -> Floats:
         """(…, bins) expected records in the TDC's bins, from those in the incoming bins (…, m), m ≥ n.
 
         pixels : (…,) number of each row's pixel in this measurement; left out, the second last axis is that of all
@@ -153,7 +149,7 @@ class TdcBins:
         _sort_mean(rows, self.from_s, self.to_s, self._edges_of(records, pixels), out)
         return out.reshape(*records.shape[:-1], self.bins)
 
-    def draw(self, records: Counts, streams: Stream, pixels: NDArray[np.int64] | None = None) -> Counts:
+    def draw(self, records: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
         """(…, bins) records in the TDC's bins: a multinomial number for each incoming bin, from streams (…, 4)."""
         rows = np.ascontiguousarray(records.reshape(-1, records.shape[-1]))
         out = np.zeros((len(rows), self.bins), np.int64)
@@ -161,7 +157,7 @@ class TdcBins:
         _sort_counts(rows, self.from_s, self.to_s, self._edges_of(records, pixels), own, out)
         return out.reshape(*records.shape[:-1], self.bins)
 
-    def _edges_of(self, records: NDArray[np.generic], pixels: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    def _edges_of(self, records: NDArray[np.generic], pixels: Ints | None) -> Ints:
         """(rows,) row of `to_s` for each row of the records."""
         leading = records.shape[:-1]
         if len(self.to_s) == 1:
@@ -171,13 +167,13 @@ class TdcBins:
 
 
 @subroutine()
-def _overlap(low: float, high: float, edges: Array, k: int) -> float:
+def _overlap(low: float, high: float, edges: Floats, k: int) -> float:
     """Share of the interval `low … high` in TDC bin k."""
     return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))
 
 
 @compiled()
-def _sort_mean(records: Array, from_s: Array, to_s: Array, row_of: Counts, out: Array) -> None:
+def _sort_mean(records: Floats, from_s: Floats, to_s: Floats, row_of: Ints, out: Floats) -> None:
     """Add `records` (h, m) to the TDC's bins `out` (h, bins), in proportion to the overlap."""
     for h in range(len(records)):
         edges, j = to_s[row_of[h]], 0
@@ -195,7 +191,7 @@ def _sort_mean(records: Array, from_s: Array, to_s: Array, row_of: Counts, out: 
 
 
 @compiled()
-def _sort_counts(records: Counts, from_s: Array, to_s: Array, row_of: Counts, streams: Stream, out: Counts) -> None:
+def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, streams: Stream, out: Ints) -> None:
     """Add counts `records` (h, m) to the TDC's bins `out` (h, bins), each at random according to the overlap."""
     for h in range(len(records)):
         edges, j, stream = to_s[row_of[h]], 0, streams[h]

@@ -33,8 +33,7 @@ from datagen.records.checks import check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 NEAREST_M = 0.12
-"""Distance from which frames are used. Halved, parallax between light and sensor, which (2) leaves out, spoils
-fits."""
+"""Distance from which frames are used. Halved, the parallax of light and sensor, not in (2), spoils fits."""
 FARTHEST_M = 10.0
 """Distance up to which frames are used."""
 SUBSTEPS = 4
@@ -305,21 +304,10 @@ class _Fit:
             "fwhm_ps": None, "samples": _rounded(self.pulse / self.pulse.max(), 4),
             "sample_ps": round(width_ps / SUBSTEPS, 5), "start_ps": round(start_ps, 3),
         })  # fmt: skip
-        sources = dict(nominal.sources) | dict.fromkeys(
-            (
-                "zones.boxes",
-                "zones.blur",
-                "zones.gains",
-                "zones.glass",
-                "zones.delays_ps",
-                "time.bin_width_ps",
-                "time.zero_bin",
-                "pulse",
-                "counting.cycles",
-                "counting.dark_count_rate_hz",
-            ),
-            source,
-        )
+        of_zones = [f"zones.{key}" for key in ("boxes", "blur", "gains", "glass", "delays_ps")]
+        of_time = ["time.bin_width_ps", "time.zero_bin", "pulse"]
+        of_counting = ["counting.cycles", "counting.dark_count_rate_hz"]
+        sources = nominal.sources | dict.fromkeys([*of_zones, *of_time, *of_counting], source)
         sources["counting.photons_per_pulse"] = f"{source}, for its albedo {albedo:g} and the aperture and PDE stated"
         device = nominal.model_copy(update={
             "zones": zones, "counting": counting, "time": time, "pulse": pulse, "sources": sources,
@@ -441,14 +429,9 @@ class _Shape:
         per_m, size, right, up, blur = (float(value) for value in parameters[:5])
         distance, zero = np.split(parameters[5:], 2)
         return replace(
-            self,
-            bins_per_m=per_m,
-            size=size,
-            shift=(right, up),
-            blur=max(blur, 1e-3),
-            distance=distance,
+            self, bins_per_m=per_m, size=size, shift=(right, up), blur=max(blur, 1e-3), distance=distance,
             zero_bins=zero,
-        )
+        )  # fmt: skip
 
     @cached_property
     def boxes(self) -> Floats:
@@ -499,8 +482,7 @@ class _ShapeProblem:
     start: _Shape
 
     def solved(self) -> tuple[_Shape, Floats, Floats]:
-        """The fitted shape, the covariance of its parameters (`clustered_covariance`), and the pulse (samples,), of
-        sum 1."""
+        """The fitted shape, its parameters' covariance (by clusters), and the pulse (samples,), of sum 1."""
         begin = self.start.parameters
         scale = np.array([1.0, 0.1, 0.02, 0.02, 0.01, *np.full(len(begin) - 5, 0.1)])
         found = scipy.optimize.least_squares(

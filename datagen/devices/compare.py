@@ -74,8 +74,7 @@ MEANING = {
     "late light": "light of several bounces, tail of the pulse, what the mesh lacks",
 }
 MOST_PARTS = 8
-"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, so is a table with four
-things on it."""
+"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, a table with four things is."""
 UNIT = 0.5
 """Albedo that light is simulated with and then divided by."""
 TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4

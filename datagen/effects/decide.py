@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.effects import EffectsConfig
 from datagen.detector import Exposure, Spad
@@ -19,6 +18,7 @@ from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.effects.trial import few_samples
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
+from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind, check_number, check_seed
 from datagen.transport import transient_of
 from datagen.transport.visibility.raycast import Raycaster
@@ -91,7 +91,7 @@ def decide_transport_effects(
 
 
 def decide_detector_effects(
-    transient: NDArray[np.float64], time: TimeAxis, spad: Spad, exposure: Exposure,
+    transient: Floats, time: TimeAxis, spad: Spad, exposure: Exposure,
     settings: EffectsConfig | None = None, tolerance: float = DEFAULT_TOLERANCE,
 ) -> EffectDecisions:  # fmt: skip
     """The decisions on the detector's effects; parameters as of `plan_effects`, transient (laser, pixel, bin)."""

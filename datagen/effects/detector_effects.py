@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates, photon_kernel
@@ -22,6 +21,7 @@ from datagen.detector.sampler_choice import avalanches_caused
 from datagen.detector.tdc_bins import TdcBins, pieces_for
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
+from datagen.records.arrays import Floats
 
 _ONE_OPERATION = "one operation a bin: leaving it out saves nothing"
 _SAMPLER = "the sampler of each histogram is chosen by how much it matters there: leaving it out saves nothing more"
@@ -36,13 +36,11 @@ so that its bound is not computed. Halved, a tolerance of 0.1 leaves it out less
 class Detection:
     """A transient, and the detector whose counts of it are simulated.
 
-    Attributes
-    ----------
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may have.
     """
 
-    transient: NDArray[np.float64]
+    transient: Floats
     time: TimeAxis
     spad: Spad
     exposure: Exposure
@@ -82,7 +80,7 @@ class Detection:
         return self.spad.pde * self.exposure.photons_per_pulse
 
     @property
-    def background_hz(self) -> NDArray[np.float64]:
+    def background_hz(self) -> Floats:
         """(pixel,) rate of events by ambient light and dark counts."""
         ambient_hz = self.spad.pde * self.exposure.ambient_rate_hz
         return ambient_hz + dark_count_rates(self.spad, self.transient.shape[1])

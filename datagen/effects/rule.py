@@ -15,8 +15,6 @@ Given = TypeVar("Given")
 class Change:
     """The change of the result if an effect is left out.
 
-    Attributes
-    ----------
     value : an upper estimate of the relative L2 change of the stage's result; None if there is no such estimate.
     kind : `bound` if the value is proven; `trial` if it was measured with few samples, and includes their error.
     reason : one short sentence.
@@ -31,8 +29,6 @@ class Change:
 class Effect(Generic[Given]):
     """One row of the table of effects. `Given` is the input of its stage: `SceneFigures` or `Detection`.
 
-    Attributes
-    ----------
     name : key of the effect in the configuration's section `effects`.
     title : name of the effect for people.
     needs : what makes the effect present, in words.

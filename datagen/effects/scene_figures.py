@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.effects.trial import Trial, affordable, run_trial
 from datagen.records import Accuracy, Capture, Lambertian, Material, OrenNayar, Phong, Retroreflector, Scene, SinLobe
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import albedo
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_tracing.vertices import LaserPoints
@@ -155,7 +155,7 @@ class SceneFigures:
         return Raycaster(self.scene) if self.caster is None else self.caster
 
     @cached_property
-    def _view(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _view(self) -> tuple[Floats, Ints]:
         """(P, 9, 3) points where nine lines of sight of each pixel first meet the scene, and (P, 9) their parts, −1
         for none.
 

@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
@@ -40,16 +39,14 @@ from datagen.transport.visibility.raycast import Raycaster
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take. Halved, its estimates are noisier and leave out less."""
 LARGEST_SHARE = 0.1
-"""Share of the cost above which even the smallest trial run is not made. Halved, more small transports are simulated
-with all effects."""
+"""Share of the cost above which no trial run is made. Halved, more small transports have all effects."""
 OVERHEAD = 60_000.0
 """Fixed cost of a call, in shadow rays: preparing the scene, and tracing each order for few paths. Halved, two calls
 are made where one would be cheaper."""
 FEWEST_PATHS, MOST_PATHS = 512, 4096
 """Paths of each of the two runs, all channels together. With half as many the noise is 1.4 times as large."""
 LASERS, PIXELS = 32, 8
-"""Most laser points, and most pixels of each (exhaustive pairing). With half as many the error of the choice is 1.4
-times as large."""
+"""Most laser points, and most pixels of each. With half as many the error of the choice is 1.4 times as large."""
 COMPONENTS = 3
 """Primary, secondary and higher light."""
 MOST_ORDERS = 8
@@ -72,7 +69,7 @@ class Trial:
     pixels : number of channels that share their paths, as all pixels of a laser point do.
     """
 
-    components: Mapping[str, NDArray[np.float64]]
+    components: Mapping[str, Floats]
     pixels: int = 1
 
     @property
@@ -104,7 +101,7 @@ class Trial:
         return min(float(np.sqrt(square + 3 * _jackknife(above, below, square))), 1.0)
 
 
-def _jackknife(above: NDArray[np.float64], below: NDArray[np.float64], ratio: float) -> float:
+def _jackknife(above: Floats, below: Floats, ratio: float) -> float:
     """Standard error of Σ above / Σ below over independent channels; the ratio itself if there are under four."""
     n = len(above)
     if n < 4:
@@ -188,14 +185,14 @@ def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
     return Accuracy(lookins=samples, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
 
 
-def _paired(runs: list[Mapping[str, NDArray[np.float64]]], shape: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
+def _paired(runs: list[Mapping[str, Floats]], shape: tuple[int, int]) -> dict[str, Floats]:
     """Component → (2, channel, bin) light of two runs of `shape` laser points and pixels.
 
     The first run lies in the first rows and columns of the first arrays, the second in the last of the last arrays.
     """
     lasers, pixels = shape
 
-    def pair(name: str) -> NDArray[np.float64]:
+    def pair(name: str) -> Floats:
         corners = runs[0][name][:lasers, :pixels], runs[-1][name][-lasers:, -pixels:]
         return np.stack([corner.reshape(-1, corner.shape[2]) for corner in corners])
 

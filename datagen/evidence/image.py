@@ -40,8 +40,6 @@ and shadows that move over the scan have half as many steps."""
 class ScanPairs:
     """S representative pairs of laser point and pixel.
 
-    Attributes
-    ----------
     lasers, seen : their laser points, and the points in the middle of their pixels' footprints.
     histogram : (S, 2) laser point and pixel of the histogram of each pair.
     times : (S,) number of the scan's pairs for which each stands; of a flood, its share of the light.
@@ -114,8 +112,6 @@ def evidence_image(
 ) -> NDArray[np.float32]:  # fmt: skip
     """(rows, columns) expected detections of the light of three bounces by way of the surface of each label pixel.
 
-    Parameters
-    ----------
     caster : of the scene's triangles.
     surface : the surface that the label pixels show.
     scan_pairs : pairs that stand for the capture; None if it sees no light.

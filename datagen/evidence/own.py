@@ -124,7 +124,7 @@ def _sums(own: Floats, everything: Floats) -> tuple[float, float, float]:
 
 def significance_in_time(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Floats]:
     """Part name → (bin,) √Σ s²/b over laser points and pixels, whose squares add up to that of the significance."""
     names = tuple(parts)
     squares = np.zeros((len(names), transient.time.bins // spad.bins_merged))

@@ -30,8 +30,6 @@ def export(
 ) -> list[Path]:  # fmt: skip
     """Write scenes of a dataset as files of another format, one file for each scene; returns their paths.
 
-    Parameters
-    ----------
     dataset, out : the dataset, and the folder for the files `scene-000003.…` (made if it is missing).
     format : `tal`, `mat`, `npz`, `h5`, `glb`, or `hub`: the whole dataset as a folder for the Hugging Face Hub.
     scenes : indices, or a text such as `"0,3-5"`; left out: all scenes that could be made.

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
-from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
@@ -93,23 +92,17 @@ def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
         if len(lit):
             dots = trimesh.PointCloud(lit, colors=[255, 40, 40, 255])
             world.add_geometry(dots, node_name="laser_points", geom_name="laser_points")
-        pixels = _outlines(placed["sensor_pixels"])
-        world.add_geometry(pixels, node_name="sensor_pixels", geom_name="sensor_pixels")
+        pixels = placed["sensor_pixels"]
+        ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+        outlines = trimesh.load_path(ends, process=False)
+        world.add_geometry(outlines, node_name="sensor_pixels", geom_name="sensor_pixels")
     world.apply_transform(_UP)
     found: bytes = world.export(file_type="glb")
     return found
 
 
-def _outlines(pixels: Floats) -> Any:
-    import trimesh
-
-    ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)
-    return trimesh.load_path(ends, process=False)
-
-
 def _look(material: Material, role: str) -> Any:
-    """The glTF material of a surface: its colour is the albedo times the tint of the role, its roughness the width of
-    the lobe."""
+    """The glTF material of a surface: its colour is albedo times the role's tint, its roughness the lobe's width."""
     color = np.clip(material.albedo, 0, 1) * np.array(_TINTS[role])
     look = _plain(f"{type(material).__name__} {material.albedo:.2f}", color, _roughness(material))
     look.metallicFactor, look.doubleSided = 0.0, True

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.export.measurement import lattice, measurement
+from datagen.records.arrays import Floats
 from datagen.store.card import CARD
 from datagen.store.files import write_if_changed
 from datagen.store.scenes import SceneContent, Scenes
@@ -133,7 +134,7 @@ def _pictures(scene: SceneContent) -> dict[str, bytes]:
     return pictures
 
 
-def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
+def _thumbnail(scene: SceneContent) -> Floats:
     """(row, column) image of the measurement of a scene."""
     try:
         m = measurement(scene)
@@ -149,7 +150,7 @@ def _thumbnail(scene: SceneContent) -> NDArray[np.float64]:
     return np.asarray((whole[:, 0] if m.paired else whole.sum(axis=0))[place.T[::-1]])
 
 
-def _streaks(values: NDArray[Any]) -> NDArray[np.float64]:
+def _streaks(values: NDArray[Any]) -> Floats:
     rows = values.reshape(-1, values.shape[-1]).astype(np.float64)
     step = -(-rows.shape[1] // _THUMBNAIL)
     padded = np.pad(rows[: 4 * _THUMBNAIL], ((0, 0), (0, -rows.shape[1] % step)))

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.export.measurement import Measurement, lattice, measurement
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path
 
@@ -45,7 +45,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
     savemat(path, variables | {"bin_resolution": m.time.width_s, "scene": scene.index}, do_compression=True)
 
 
-def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+def _confocal_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
     """Variables of a confocal grid; `place` is its `lattice`."""
     # Columns × rows with y ascending → rows from the top × columns.
     order = place.T[::-1]
@@ -61,8 +61,7 @@ def _confocal_grid(m: Measurement, place: NDArray[np.int64]) -> dict[str, NDArra
 
 
 def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
-    """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 if times count from the
-    wall."""
+    """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 for times from the wall."""
     if m.time.origin == "wall":
         return np.zeros(len(lit))
     ways = np.linalg.norm(lit - m.laser_position, axis=1) + np.linalg.norm(seen - m.sensor_position, axis=1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import TimeAxis
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 
 _SAME_PLACE_M = 1e-9
@@ -22,8 +22,6 @@ class WallFrame:
     """Coordinates with the relay wall at z = 0 and the hidden part at z > 0, x to the right and y up as seen from the
     room, metres.
 
-    Attributes
-    ----------
     origin : (3,) origin of this frame, in the scene's frame.
     axes : (3, 3) rows are the unit vectors right, up, and into the room.
     """
@@ -40,8 +38,6 @@ class WallFrame:
 class Measurement:
     """A measurement in the frame of the relay wall.
 
-    Attributes
-    ----------
     values : (L, P, T) counts or photons; confocal: P = 1.
     quantity : one of `QUANTITIES`.
     time : bin i covers [start + i width, start + (i + 1) width).
@@ -79,8 +75,6 @@ class Measurement:
 def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement:
     """A stored scene as a measurement.
 
-    Parameters
-    ----------
     quantity : one of `QUANTITIES`; left out: the first of these that the dataset has.
 
     Raises
@@ -135,20 +129,19 @@ def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Fl
     return np.where(np.isfinite(met), met, towards)
 
 
-def lattice(points: Floats) -> NDArray[np.int64] | None:
-    """(columns, rows) index of the point at each place of the grid that (N, 3) points form, x and y ascending; None
-    if they form no grid."""
+def lattice(points: Floats) -> Ints | None:
+    """(columns, rows) index of the point at each place of the grid of (N, 3) points, x and y ascending; or None."""
     extent = float(np.ptp(points[:, :2], axis=0).max())
     for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):
         columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))
         number = columns * (rows.max() + 1) + rows
         if (columns.max() + 1) * (rows.max() + 1) == len(points) == len(np.unique(number)):
-            found: NDArray[np.int64] = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
+            found: Ints = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
             return found
     return None
 
 
-def _clusters(values: Floats, gap: float) -> NDArray[np.int64]:
+def _clusters(values: Floats, gap: float) -> Ints:
     """(N,) the index of each value's group; groups lie more than `gap` apart."""
     order = np.argsort(values, kind="stable")
     groups = np.empty(len(values), np.int64)

@@ -22,8 +22,6 @@ from datagen.store.summaries import KindEvidence
 class Forecast:
     """The expected time, size and error of a dataset.
 
-    Attributes
-    ----------
     pilots, effort : number of pilot scenes, and the share of the configured paths that they had (1, or a trial's).
     failed : pilot scene → reason why it could not be made.
     seconds : stage → seconds of one scene, mean over the pilots.

@@ -54,8 +54,6 @@ SampleFunction = Callable[[DatasetConfig, int], Sample]
 class Pilot:
     """One pilot scene.
 
-    Attributes
-    ----------
     effort : fraction of the configured paths (or of those that the configured target needs) that were simulated.
     seconds : stage → wall-clock seconds. processor_s : of all stages together.
     error : estimated relative L2 error of its transient; NaN when nothing estimates it.
@@ -91,8 +89,7 @@ class Pilot:
         return replace(self, effort=1.0, seconds=seconds, processor_s=self.processor_s * slower, error=error)
 
     def scaled(self, trial: Pilot, full: Pilot) -> Pilot:
-        """This trial at full effort, if the ratio of full time to trial time is that of another scene; its error is
-        unknown."""
+        """This trial at full effort if it grows as that of another scene does; its error is unknown."""
         grown = {of: full.seconds[of] / trial.seconds[of] for of in LIGHT_STAGES if trial.seconds.get(of, 0.0) > 0}
         seconds = {stage: taken * grown.get(stage, 1.0) for stage, taken in self.seconds.items()}
         processor_s = self.processor_s * full.processor_s / trial.processor_s
@@ -111,8 +108,6 @@ class Pilot:
 class Pilots:
     """The measurements of all pilots.
 
-    Attributes
-    ----------
     scenes : the pilot scenes, or the single trial; their seconds contain the stage "store".
     failed : scene → reason why it could not be made.
     stored : field → bytes on disk of one scene, mean; "records": its commit record and its row of the table.
@@ -238,8 +233,7 @@ def _written(
 
 
 def _with_distances(sample: Sample) -> dict[str, Scalar]:
-    """The parameters of a sample, and `PART.away_m` for each object: its distance in plan from the middle of the
-    relay wall."""
+    """The parameters of a sample, and `PART.away_m` of each object: its distance in plan from the relay wall."""
     named, middle = dict(sample.parameters), sample.arrays["relay_wall"][0]
     for name in [key.removesuffix(".x_m") for key in named if key.endswith(".x_m")]:
         x_m, y_m = float(named[f"{name}.x_m"]), float(named[f"{name}.y_m"])

@@ -301,8 +301,7 @@ def _count(number: int, thing: str) -> str:
 
 
 PILOTS_WORTH = 20.0
-"""Time limit of a scene, in units of the longest pilot: rooms differ, and machines are busy. Halved, it could end a
-sound scene."""
+"""Time limit of a scene over the longest pilot: rooms differ, machines are busy. Halved, it may end sound scenes."""
 AT_LEAST_S = 60.0
 """Least time limit of a scene. Halved, it could end a scene that waits for a busy disk."""
 

@@ -1,5 +1,4 @@
-"""Arrays from HDF5 and MATLAB files that are not trusted: no code is run, no link is followed, all sizes are
-checked."""
+"""Arrays from untrusted HDF5 and MATLAB files: no code is run, no link is followed, all sizes are checked."""
 
 from __future__ import annotations
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError, printable
 from datagen.export.plain import h5py
 from datagen.importing.matlab5 import read_matlab5
+from datagen.records.arrays import Floats
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
@@ -60,7 +60,7 @@ class Content:
             )
         return float(value.reshape(-1)[0])
 
-    def points(self, name: str) -> NDArray[np.float64]:
+    def points(self, name: str) -> Floats:
         """(…, 3) a variable that holds points, metres; raises `InputError` for any other."""
         value = self.array(name)
         if value.ndim < 1 or value.shape[-1] != 3 or value.size == 0:
@@ -70,7 +70,7 @@ class Content:
             raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
         return points
 
-    def wall_normal(self, name: str) -> NDArray[np.float64]:
+    def wall_normal(self, name: str) -> Floats:
         """(3,) mean of a variable of normals of the relay wall; along z if the file has no such variable."""
         value = self.arrays.get(name, np.zeros(0))
         if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
@@ -145,8 +145,7 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
 
 
 def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
-    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`
-    does."""
+    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
     with _one_line(path, "MATLAB"):

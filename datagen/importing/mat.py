@@ -22,7 +22,7 @@ from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.importing.containers import FACING, Content, matlab_content
 from datagen.importing.recording import SAME, UNKNOWN, Recording, time_bins
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 _LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
 _GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
@@ -52,7 +52,9 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     path, stored = content.path, content.array(name)
     if stored.ndim != 3 or stored.size == 0:
         raise InputError(f"{path}: {name}: shape {stored.shape}; one capture has two axes of the grid and time")
-    axes = options.axes or _axes_of(name, stored.shape)
+    # Time comes first if the last two axes have the same size and the first has not.
+    first_is_time = stored.shape[1] == stored.shape[2] != stored.shape[0]
+    axes = options.axes or (f"t{_AXES[name][:2]}" if first_is_time else _AXES[name])
     at = [axes.index(axis) for axis in "yx"]
     # The file's other variables have the two axes of the grid in the same order as this one.
     first, second = sorted(at)
@@ -78,20 +80,13 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     )  # fmt: skip
 
 
-def _shifted(values: NDArray[Any], shifts: NDArray[np.int64], kept: int) -> NDArray[Any]:
+def _shifted(values: NDArray[Any], shifts: Ints, kept: int) -> NDArray[Any]:
     """(row, column, kept) the first `kept` bins of each point of the grid after its shift."""
     found = np.empty((*shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):
         alike = shifts == shift
         found[alike] = values[alike, shift : shift + kept]
     return found
-
-
-def _axes_of(name: str, shape: tuple[int, ...]) -> str:
-    """The order of the axes: that of `_AXES`, or time first if the last two axes have the same size and the first has
-    not."""
-    usual = _AXES[name]
-    return f"t{usual[:2]}" if shape[1] == shape[2] != shape[0] else usual
 
 
 def _shifts(
@@ -101,9 +96,8 @@ def _shifts(
     bin_width_ps: float,
     options: ImportOptions,
     delays: Path | None,
-) -> NDArray[np.int64]:
-    """(row, column) whole bins that light takes from the laser to the wall and back; 0 if times count from the
-    wall."""
+) -> Ints:
+    """(row, column) whole bins that light takes to the wall and back; 0 if times count from the wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
@@ -164,8 +158,7 @@ def _wall(content: Content, name: str, options: ImportOptions) -> tuple[float, f
 
 
 def _pairs(content: Content, options: ImportOptions) -> Recording:
-    """The recording of a list of pairs: every pixel for every laser point, or, as in a confocal scan, one for
-    each."""
+    """The recording of a list of pairs: every pixel for every laser point, or (confocal) one for each."""
     for flag, value in (("wall", options.wall_m), ("axes", options.axes), ("tof", options.delays)):
         if value is not None:
             raise InputError(f"--{flag}: {content.path} lists its points itself; leave the option out")

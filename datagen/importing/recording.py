@@ -15,7 +15,7 @@ from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.export.measurement import WallFrame, lattice
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.records.sample import geometry_fields
 
 UNKNOWN = np.full(3, np.nan)
@@ -35,8 +35,6 @@ _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 class Recording:
     """One capture, in the file's own frame, metres.
 
-    Attributes
-    ----------
     path : the file.
     values : (L, P, T) counts or light, as in the file; paired: (L, 1, T).
     paired : whether pixel i was measured with laser point i alone (a confocal scan).
@@ -91,8 +89,7 @@ class Recording:
         return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
 
     def geometry(self) -> dict[str, Floats]:
-        """Field → value of the fields of positions. All corners of a pixel are one point, since files state no
-        extent."""
+        """Field → value of the fields of positions. A pixel's corners are one point, since files state no extent."""
         frame = self.frame
         both = frame.to_wall(np.concatenate([self.laser_points, self.seen_points]))[:, :2]
         low, high = both.min(axis=0), both.max(axis=0)
@@ -105,7 +102,7 @@ class Recording:
         )
 
 
-def _rows(points: Floats) -> NDArray[np.int64]:
+def _rows(points: Floats) -> Ints:
     """(N,) indices of points row by row from the top left; 0, 1, 2 … if they form no grid."""
     place = lattice(points)
     return np.arange(len(points)) if place is None else place.T[::-1].ravel()
@@ -172,8 +169,7 @@ def seconds_of(text: str) -> float:
 
 
 def metres_of(text: str) -> tuple[float, float]:
-    """Width and height of a text, metres: `"2m"` → (2, 2), `"2m x 150cm"` → (2, 1.5). Raises `InputError` for
-    others."""
+    """Width and height of a text, metres: `"2m"` → (2, 2), `"2m x 1m"` → (2, 1); raises `InputError` for others."""
     unit = r"\s*(mm|cm|m)"
     found = re.fullmatch(rf"{_NUMBER}{unit}(?:\s*[x×]\s*{_NUMBER}{unit})?", text.strip())
     if found is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
 from datagen.records import Scene
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 OBJECT_TABLES = (
     "object_count", "object_class", "object_part", "object_box_center", "object_box_size", "object_box_rotation",
@@ -26,8 +26,6 @@ NO_OBJECT = -1
 class ObjectBoxes:
     """The objects of one scene in the order of its parts; rows beyond `count` hold no object.
 
-    Attributes
-    ----------
     count : number of objects.
     label : (K,) int16 class, an index into the dataset's list of classes; −1 in rows without an object.
     part : (K,) int16 index into `Scene.part_names`, as in the label `part_id`; −1 in rows without an object.
@@ -93,7 +91,7 @@ def classes_in(scene: Scene) -> tuple[str, ...]:
     return tuple(sorted({scene.pose_of(name).label for name in scene.objects}))
 
 
-def objects_seen(part_id: NDArray[np.integer[Any]], object_part: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+def objects_seen(part_id: NDArray[np.integer[Any]], object_part: NDArray[np.integer[Any]]) -> Ints:
     """(N, row, column) row of the object tables whose object a pixel shows, −1 for no object.
 
     part_id : (N, row, column) and object_part : (N, K), with −1 in rows without an object: labels of N scenes.

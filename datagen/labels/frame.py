@@ -23,8 +23,6 @@ from datagen.records.arrays import Bools, Floats
 class ViewFrame:
     """An orthonormal, right-handed frame (right, up, normal) at the centre of a rectangle.
 
-    Attributes
-    ----------
     center : (3,) centre of the rectangle, metres.
     axes : (3, 3) unit vectors right, up, normal = right × up as rows.
     half_width_m, half_height_m : half extents of the rectangle.

@@ -23,8 +23,6 @@ _SMALLEST_DEPTH_M = 1e-6
 class HiddenSurface:
     """The surface that each pixel of the hidden view sees first.
 
-    Attributes
-    ----------
     scene, frame : the scene, and the frame of the view.
     face : (rows, columns) index of the triangle, −1 where the view is empty.
     depth : (rows, columns) float64 metres from the plane of the relay wall along its normal; 0 where empty.

@@ -69,8 +69,6 @@ def _depth(triangle: Floats, px: float, py: float) -> float:
 def first_hits(triangles: Floats, rows: int, columns: int, near: float) -> tuple[Ints, Floats]:
     """The nearest triangle at or beyond depth `near` for every pixel centre.
 
-    Parameters
-    ----------
     triangles : (F, 3, 3) corners as column, row (pixels) and depth.
 
     Returns

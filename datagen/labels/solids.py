@@ -26,8 +26,6 @@ _LATTICE = 2**20
 class ConnectedSurface:
     """One connected surface.
 
-    Attributes
-    ----------
     corners : (F, 3, 3) corners of its triangles, without those that bridge holes.
     lid : (B, 3, 3) corners of the triangles that bridge its holes.
     closed : whether it encloses a volume, with its lid.

@@ -20,8 +20,6 @@ from datagen.records.arrays import Bools, Floats
 class VoxelGrid:
     """A box of voxels along the axes of the label frame.
 
-    Attributes
-    ----------
     frame : the label frame.
     low, high : (3,) corners of the box along (right, up, depth) of the frame, metres.
     shape : voxels along (depth, row, column); row 0 is at the top, column 0 at −right, layer 0 next to the wall.

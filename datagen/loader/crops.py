@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.records.arrays import Ints
 from datagen.records.checks import shown
 from datagen.store import Manifest
 from datagen.store.reader import Part
@@ -37,7 +38,7 @@ class Crops:
         merged = manifest.bins_merged
         if measured and measured.dims[-1] == "transient_bin":
             self.sizes["bin"] //= merged
-        self.chosen: dict[str, NDArray[np.int64]] = {}
+        self.chosen: dict[str, Ints] = {}
         for (name, (crop, grid)), axis in zip(crops.items(), ("laser", "pixel"), strict=True):
             if crop is not None:
                 self.chosen[axis] = _indices(name, crop, self.sizes[axis], _grid(grid, self.sizes[axis]))
@@ -73,7 +74,7 @@ def _grid(settings: Mapping[str, Any], size: int) -> tuple[int, int] | None:
     return (rows, columns) if rows * columns == size else None
 
 
-def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> NDArray[np.int64]:
+def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> Ints:
     """The indices, in 0 … size − 1, that a crop selects, in the order of the crop."""
     every = np.arange(size, dtype=np.int64)
     if isinstance(crop, tuple) and len(crop) == 2 and any(isinstance(one, slice) for one in crop):
@@ -95,7 +96,7 @@ def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> 
     return chosen
 
 
-def _sliced(name: str, crop: Any, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+def _sliced(name: str, crop: Any, numbers: Ints) -> Ints:
     try:
         return np.asarray(numbers[crop])
     except (TypeError, ValueError):
@@ -117,7 +118,7 @@ def _numbers(name: str, crop: object, size: int) -> NDArray[np.generic]:
     return given
 
 
-def _bins(crop: object, size: int) -> NDArray[np.int64]:
+def _bins(crop: object, size: int) -> Ints:
     if not isinstance(crop, slice) or crop.step not in (None, 1):
         raise InputError(f"bins = {shown(crop)}: must be a slice of step 1, such as slice(100, 612)")
     chosen = _sliced("bins", crop, np.arange(size, dtype=np.int64))

@@ -25,6 +25,7 @@ from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource,
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records import TimeAxis
+from datagen.records.arrays import Ints
 from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
 from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.location import Bucket, location_of
@@ -284,7 +285,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         except (TypeError, ValueError, OverflowError) as error:
             raise CheckError(f"{self.path / TABLE}: its stats are not as datagen writes them ({error})") from None
 
-    def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> NDArray[np.int64]:
+    def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> Ints:
         """(N,) the scenes of `self.scenes` that belong to a split."""
         splits = self._manifest.splits()
         if split not in splits.names:
@@ -303,7 +304,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"split = {split!r}: holds no scene of {self.path} ({there}); other fractions may help")
         return chosen
 
-    def _scenes_with_evidence(self, least: float) -> NDArray[np.int64]:
+    def _scenes_with_evidence(self, least: float) -> Ints:
         """(N,) the scenes of `self.scenes` in which every object has at least this significance."""
         if self._manifest.schema_version < EVIDENCE_SINCE:
             raise InputError(
@@ -322,7 +323,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             )
         return chosen
 
-    def _scenes_there(self, manifest: Manifest) -> NDArray[np.int64]:
+    def _scenes_there(self, manifest: Manifest) -> Ints:
         """(N,) the scenes that could be made. Raises `InputError` if shards are missing."""
         there, failed = self._shards_and_failures(manifest)
         if len(there) < self._schema.shards:

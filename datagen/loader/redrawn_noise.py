@@ -15,6 +15,7 @@ from torch import distributed
 
 from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
 from datagen.errors import InputError
+from datagen.records.arrays import Ints
 from datagen.seeding import Purpose, seed_sequence
 from datagen.store import Manifest
 from datagen.store.schema import Field
@@ -104,15 +105,14 @@ class DrawCounter:
         state: Any = torch.zeros((scenes, 2), dtype=torch.int64)
         self._state: torch.Tensor = state.share_memory_()
 
-    def fix(self, epoch: int, scenes: NDArray[np.int64]) -> None:
+    def fix(self, epoch: int, scenes: Ints) -> None:
         """Make the next read of each of these scenes draw number `epoch`; later reads count on from there."""
         if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
             raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
         self._state[torch.from_numpy(scenes)] = torch.tensor([int(epoch), 1])
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
-        """(number, stream) of the next draw of each scene of a batch. The numbers are used up: later reads get
-        others."""
+        """(number, stream) of the next draw of each scene of a batch; later reads get other numbers."""
         rank, state = self._own_rank(), self._state.numpy()
         taken = []
         for scene in scenes:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sized
 
 import numpy as np
-from numpy.typing import NDArray
 from torch.utils.data import ConcatDataset, Sampler, Subset
 
 from datagen.errors import InputError
 from datagen.loader.dataset import TransientDataset
+from datagen.records.arrays import Ints
 from datagen.records.checks import check_flag, check_integer, check_kind, check_seed
 from datagen.seeding import Purpose, generator
 
@@ -56,7 +56,7 @@ class EpochSampler(Sampler[int]):
         yield from dealt[self._rank :: self._ranks].tolist()
 
 
-def _fix_noise(data: object, epoch: int, items: NDArray[np.int64]) -> None:
+def _fix_noise(data: object, epoch: int, items: Ints) -> None:
     """Call `set_epoch` of the datasets that `data` is made of, for the scenes of these items."""
     if isinstance(data, TransientDataset):
         data.set_epoch(epoch, items.tolist())

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from datagen.detector import detector_for
@@ -19,15 +21,10 @@ from datagen.report.cutaway import normals_of
 from datagen.report.room_plots import RoomPicture, draw_opened
 from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 UNIT_M = 1e-3
 _PANEL_IN = 3.4
 _DECADES, _MOST_DECADES, _MARGIN_BELOW = 3.0, 12.0, 100.0
-"""Decades of the colours of points; most decades of an axis of envelopes; factor between its end and the lowest
-peak."""
+"""Decades of points' colours; most decades of an axis of envelopes; factor between its end and the lowest peak."""
 _MOST_POINTS = 60_000
 _UPRIGHT = 0.5
 """Largest vertical part of the normal of a wall."""

@@ -40,8 +40,6 @@ def reproduce(
 ) -> Path:
     """Compute the paper's Fig. 3, 5, 7 and 9 by both estimators and write them with a page and all numbers.
 
-    Parameters
-    ----------
     out : folder to make; an earlier reproduction in it is replaced, anything else refused.
     config : a configuration with one laser point and one pixel; default the paper's demonstration room.
     quick : few rays and pixels, for seconds instead of minutes.

@@ -41,8 +41,6 @@ _OTHER_COLORS = ("#1B9E77", "#C51B7D", "#8C6D31", "#35978F", "#E6AB02", "#666666
 class ComponentCurves:
     """The signal of one pixel in the limit of infinite exposure: events per emitted photon and bin.
 
-    Attributes
-    ----------
     time_ns : (bin,) middles of the bins, since the light reached the laser point.
     parts : the primary by part, objects one by one, all surfaces of the room together.
     orders : the other components, `secondary`, `higher`, `direct`.
@@ -101,8 +99,7 @@ def curve_window(curves: ComponentCurves) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sample counts: sides of the two grids of rays, side of a lookin's unfolded picture, lookins of the converged
-    run."""
+    """Sides of the two grids of rays, side of a lookin's unfolded picture, lookins of the converged run."""
 
     rays: tuple[int, int] = (10, 45)
     pixels: int = 60

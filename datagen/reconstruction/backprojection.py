@@ -37,8 +37,6 @@ time, and lie twice as far apart."""
 class Scan:
     """The input of backprojection.
 
-    Attributes
-    ----------
     signal : (pair, bin) whitened counts; row r is that of pixel `pixel[r]` and laser point `laser[r]`.
     laser_points, pixels : (L, 3) and (P, 3) points on the relay wall, label frame, metres.
     laser, pixel : (pair,) indices into `laser_points` and `pixels`.

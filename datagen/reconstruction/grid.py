@@ -13,8 +13,7 @@ from datagen.records.arrays import Floats
 
 
 def label_frame(hidden_view: Floats) -> Callable[[Floats], Floats]:
-    """A function that maps points (..., 3) of the scene to the label frame; `hidden_view` (3, 3) is the stored
-    field."""
+    """A function from points (..., 3) of the scene to the label frame; `hidden_view` (3, 3) is the stored field."""
     return ViewFrame.about(Rectangle(*hidden_view)).to_view
 
 

@@ -70,8 +70,7 @@ class Spend:
         check_kind("Spend.second_opinion", self.second_opinion, str)
 
     def parameters(self) -> dict[str, Scalar]:
-        """The report as flat scalars, `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome`,
-        `second_opinion`."""
+        """The report as flat scalars: `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome` and others."""
         flat: dict[str, Scalar] = {}
         for name, lookins in self.lookins.items():
             flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}

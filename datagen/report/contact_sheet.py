@@ -5,9 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
@@ -23,10 +25,6 @@ from datagen.report.room_plots import RoomPicture, draw_opened, draw_plan
 from datagen.report.style import INK, caption, caption_height, check_png, house_style, new_figure, save_png
 from datagen.scene import check_scene_config
 from scene_library.visibility import visible_fan
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MOST_ROOMS = 400
 MOST_LABELLED = 16
@@ -142,8 +140,6 @@ def _name_of(scene: Scene, config: str, index: int) -> str:
 
 def mark_sight(axes: Axes, scene: Scene) -> None:
     """Fill the area of the plan that the device sees; walls reach from floor to ceiling, so that a plan is enough."""
-    from matplotlib.collections import PolyCollection
-
     if scene.device_position is None:
         return
     eye = scene.device_position[:2]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from datagen.labels.raster import first_hits, hidden_pixels
@@ -69,8 +70,7 @@ def normals_of(scene: Scene) -> Floats:
 
 
 def room_faces(scene: Scene) -> tuple[Ints, Ints, Ints]:
-    """Triangles of the structure, upright, lying in the lower half, and lying in the upper half: walls, floor,
-    ceiling."""
+    """Triangles of the structure: upright (walls), lying in the lower half (floor), in the upper (ceiling)."""
     structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
     lying = structure & (abs(normals_of(scene)[:, 2]) > _HORIZONTAL)
     height = scene.corners[..., 2].mean(axis=1)
@@ -99,8 +99,7 @@ def cut_open(scene: Scene, camera: Camera) -> Cutaway:
 
 
 def flat_groups(scene: Scene, faces: Ints) -> tuple[Ints, list[Floats]]:
-    """Groups of triangles that touch in one plane: the group number of each face, and the border (E, 2, 3) of each
-    group."""
+    """Groups of triangles that touch in one plane: each face's group number, and each group's border (E, 2, 3)."""
     normal = normals_of(scene)[faces]
     leading = np.take_along_axis(normal, abs(normal).argmax(axis=1)[:, None], axis=1)
     normal = normal * np.where(leading < 0, -1.0, 1.0)
@@ -146,8 +145,6 @@ def to_pixels(scene: Scene, camera: Camera, faces: Ints, pixels: int) -> tuple[F
 
 def shaded(scene: Scene, camera: Camera, faces: Ints, colors: dict[str, str], pixels: int) -> Shaded:
     """A picture of the faces in their parts' colours, transparent where there is none, and its extent."""
-    from matplotlib.colors import to_rgb
-
     if len(faces) == 0:
         return np.zeros((2, 2, 4)), (0.0, 1.0, 0.0, 1.0)
     triangles, rows, columns, extent = to_pixels(scene, camera, faces, 2 * pixels)

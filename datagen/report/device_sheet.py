@@ -6,9 +6,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Colormap, Normalize
 from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad, detect
@@ -20,10 +24,6 @@ from datagen.report.style import captioned, check_png, house_style, save_png
 from datagen.transport import transient_of
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
 
 PLACE = np.array([0.0, 0.0, 0.5])
 """Where every device stands in the room, its axis along x."""
@@ -136,10 +136,6 @@ def table(seen: Sequence[Seen]) -> str:
 
 def _draw(scene: Scene, seen: Sequence[Seen], path: Path) -> None:
     """A row for each device: the room as it faces it, with its zones and its light, and its histograms."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     text = (
         "The same room for every device: a box 0.55 m away, a ball on a pedestal at 0.85 m, a wall at 1.2 m, a "
         "floor. Left: the room as the device faces it; the colour is the depth, black lines are its zones (of a scan "
@@ -203,8 +199,6 @@ def _tangents(points: Floats, eye: Floats) -> Floats:
 
 def _draw_view(axes: Axes, one: Seen, picture: Floats) -> None:
     """The room with the device's zones and light."""
-    from matplotlib.collections import PolyCollection
-
     (width, height), light, zones = VIEW, one.device.light, one.device.zones
     axes.imshow(picture, extent=(-width, width, -height, height), alpha=0.85)
     axes.set(xticks=[], yticks=[], xlim=(-width, width), ylim=(-height, height))

@@ -8,9 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from datagen.records import Scalar, Scene, TimeAxis
 from datagen.records.arrays import Floats
@@ -18,10 +20,6 @@ from datagen.report.replay import Replay, StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note, part_colors
 from datagen.report.time_plots import busy_window, time_label
 from datagen.store.summaries import LEAST, evidence_by_kind, evidence_lines, significance_by_kind
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 FAINT = 1.0
 """Significance, in standard deviations, under which an object is as good as absent."""
@@ -49,8 +47,7 @@ def stated_significance(stored: StoredScene, scene: Scene) -> dict[str, float]:
 
 
 def evidence_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """The page of evidence: each object's light over the noise in time, and its significance; None where no
-    significance is known."""
+    """The page of evidence, each object's light over the noise and its significance; None if none is known."""
     significance = stated_significance(stored, again.scene) or {
         name: float(np.sqrt((curve**2).sum())) for name, curve in again.own.items()
     }

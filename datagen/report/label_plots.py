@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame
@@ -13,12 +20,6 @@ from datagen.labels.volumes import VoxelGrid
 from datagen.records import Scene
 from datagen.report.replay import StoredScene
 from datagen.report.style import captioned, empty_note, part_colors
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.colorbar import Colorbar
-    from matplotlib.figure import Figure
-    from matplotlib.image import AxesImage
 
 TITLES = {
     "depth": "Depth (m)",
@@ -67,8 +68,6 @@ def draw_boxes(
     axes: Axes, scene: Scene, boxes: ObjectBoxes, classes: Sequence[str], behind: NDArray[Any] | None
 ) -> None:
     """Outlines of the object boxes with their classes, over an image of the same view; thick: the front of each."""
-    from matplotlib.collections import LineCollection
-
     axes.set_title("Objects: boxes and classes (thick: front)")
     axes.set(xlabel="right (m)", ylabel="up (m)")
     if behind is not None:
@@ -142,9 +141,6 @@ def _draw_normal(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any])
 
 
 def _draw_parts(figure: Figure, axes: Axes, scene: Scene, values: NDArray[Any]) -> None:
-    from matplotlib.colors import to_rgb
-    from matplotlib.patches import Patch
-
     colors = part_colors(scene)
     _image(axes, scene, np.array([to_rgb(colors[name]) for name in scene.part_names] + [(1.0, 1.0, 1.0)])[values])
     seen = [scene.part_names[k] for k in np.unique(values) if k >= 0]

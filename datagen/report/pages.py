@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS
 from datagen.labels.frame import scan_place
 from datagen.records import Scene
 from datagen.records.arrays import Floats
@@ -16,17 +16,13 @@ from datagen.report import scan_plots as scans
 from datagen.report import time_plots as times
 from datagen.report.label_plots import draw_label, labels_figure
 from datagen.report.replay import Replay, StoredScene
-from datagen.report.room_plots import RoomPicture, draw_legend, draw_opened, draw_plan
+from datagen.report.room_plots import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.style import captioned
 from datagen.report.time_plots import busy_window, clear_channel
 from datagen.store.summaries import OVER_M
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 UNDIVIDED = "all light"
 """Name of the only layer where light is not split by part."""
-_MOMENTS = 4
 
 
 def transient_page(stored: StoredScene, again: Replay) -> Figure:
@@ -130,17 +126,16 @@ def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
     # Subfigures, so that the colour bars of one take no room from the columns of the other.
     left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     row = scans.clear_row(objects if objects.any() else whole)
-    at = scans.moments(objects if objects.any() else whole, _MOMENTS)
+    at = scans.moments(objects if objects.any() else whole)
     time = again.capture.time
-    limits, edges = scans.time_limits(whole, objects, time), time.edges_s * 1e9
+    limits = scans.time_limits(whole, objects, time)
     for line, (what, scan) in enumerate((("all light", whole), ("objects only", objects))):
         along = left.add_subplot(2, 1, line + 1)
         scans.draw_time_slice(left, along, scan, row, raster, time, limits)
         along.set_title(f"Row {row + 1} from the top, {what}")
         for number, bins in enumerate(at):
-            axes = right.add_subplot(2, _MOMENTS, line * _MOMENTS + number + 1)
-            scans.draw_moment(axes, scan, bins, raster)
-            axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
+            axes = right.add_subplot(2, scans.MOMENTS, line * scans.MOMENTS + number + 1)
+            scans.draw_moment(axes, scan, bins, raster, time)
             axes.set_ylabel("" if number else f"{what}: up (m)")
     return figure
 
@@ -158,7 +153,9 @@ def overview_page(
     )
     if room.boxes is not None:
         text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
-    figure, grid = captioned(15, [4.9, _legend_in(again, 8), 4.3], text, f"{stored.title}: overview", 6)
+    # The legend has all parts and four marks.
+    legend_in = 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
+    figure, grid = captioned(15, [4.9, legend_in, 4.3], text, f"{stored.title}: overview", 6)
     raster = scans.raster_of(again.capture, channel, again.frame)
     plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
     draw_plan(plan, room)
@@ -172,7 +169,7 @@ def overview_page(
         sliced = corner.add_subplot()
         scans.draw_time_slice(corner, sliced, scan, row, raster, time, scans.time_limits(scan, objects, time))
         sliced.set_title(f"Scan: time along row {row + 1} from the top")
-    draw_legend(figure, figure.add_subplot(grid[1, :]), room, columns=8)
+    draw_legend(figure, figure.add_subplot(grid[1, :]), room)
     stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
     times.draw_stack(stack, again.scene, _curves(again, None), time)
     stack.set_title(f"Transient, {_whole_name(again).lower()}")
@@ -186,17 +183,6 @@ def overview_page(
     # At the left of the column, which leaves space for the colour bar at the right.
     depth.set_anchor("W")
     return figure
-
-
-def _legend_in(again: Replay, columns: int) -> float:
-    """Height in inches of a legend of all parts and four marks."""
-    return 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / columns)) + 0.1
-
-
-def labels_of(stored: StoredScene) -> list[str]:
-    """The labels to draw: those stored, the image of evidence with them, and depth in any case."""
-    names = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
-    return [name for name in names if name in stored.arrays or name == "depth"]
 
 
 def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, Floats]]:

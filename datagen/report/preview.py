@@ -38,8 +38,6 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
     Pictures, numbers and script are inside the file; it loads nothing else. Of a dataset that is still being built
     the committed scenes are shown.
 
-    Parameters
-    ----------
     out_html : default `DATASET.html` beside the dataset.
     scenes : how many scenes to simulate again and show in full.
 

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from datagen.labels import ObjectBoxes, ViewFrame
 from datagen.labels.raster import first_hits
@@ -16,15 +21,11 @@ from datagen.report import cutaway
 from datagen.report.cutaway import Camera, Cutaway, Extent, Shaded, room_faces, shaded
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.legend import Legend
-
 _ELEVATION_DEG = 42.0
 _AZIMUTHS_DEG = (-55.0, -30.0, 30.0, 55.0)
 _MANY_PIXELS = 400
 HIDDEN_VIEW = "#117733"
+LEGEND_COLUMNS = 8
 
 
 @dataclass(frozen=True)
@@ -110,8 +111,7 @@ def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
 
 
 def best_view(scene: Scene) -> tuple[Camera, Cutaway]:
-    """Camera and opened room: from the direction, of a few before the relay wall, that shows most of the objects and
-    of that wall."""
+    """Camera and opened room from that of a few directions that shows most of objects and relay wall."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
     wanted = np.flatnonzero([role != "structure" for role in scene.roles])
@@ -139,11 +139,8 @@ def _seen_share(scene: Scene, camera: Camera, cut: Cutaway, wanted: Ints) -> flo
     return share
 
 
-def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6) -> Legend:
+def draw_legend(figure: Figure, axes: Axes, room: RoomPicture) -> None:
     """A legend of the parts and marks that plan or opened room show, filling `axes`."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     scene = room.scene
     # The ceiling is off in both.
     shown = np.setdiff1d(np.arange(len(scene.triangles)), room_faces(scene)[2])
@@ -160,9 +157,8 @@ def draw_legend(figure: Figure, axes: Axes, room: RoomPicture, columns: int = 6)
         label, dashed = "hidden view (window of the labels)", (0, (5, 2))
         handles.append(Line2D([], [], color=HIDDEN_VIEW, linewidth=1.6, linestyle=dashed, label=label))
     axes.set_axis_off()
-    legend = axes.legend(handles=handles, loc="upper left", ncols=columns, borderaxespad=0, handlelength=1.6)
+    legend = axes.legend(handles=handles, loc="upper left", ncols=LEGEND_COLUMNS, borderaxespad=0, handlelength=1.6)
     legend.set_in_layout(False)
-    return legend
 
 
 def _marker(label: str) -> str:
@@ -174,8 +170,6 @@ def _show(axes: Axes, picture: Shaded) -> None:
 
 
 def _lines(axes: Axes, segments: Floats, **style: object) -> None:
-    from matplotlib.collections import LineCollection
-
     if len(segments):
         axes.add_collection(LineCollection(list(segments), capstyle="round", **style), autolim=True)  # type: ignore[arg-type]
 
@@ -206,7 +200,6 @@ def _mark_boxes(axes: Axes, room: RoomPicture, camera: Camera) -> None:
 
 
 def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
-    from matplotlib.collections import PolyCollection
     from scipy.spatial import ConvexHull, QhullError
 
     if room.capture is not None:
@@ -236,7 +229,6 @@ def _mark_capture(axes: Axes, room: RoomPicture, camera: Camera) -> None:
 
 def _dots(axes: Axes, points: Floats, extent: float) -> None:
     """Dots that grow with the picture, and leave gaps where points are dense."""
-    from matplotlib.collections import EllipseCollection
     from scipy.spatial import KDTree
 
     places = np.unique(np.round(points / (1e-6 * extent)), axis=0) * (1e-6 * extent)

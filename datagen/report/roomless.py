@@ -6,9 +6,10 @@ They show stored values only.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from datagen.config import DatasetConfig, time_axes
 from datagen.config.scene_layouts import ImportedCaptures, NoLayout
@@ -22,12 +23,7 @@ from datagen.report.replay import StoredScene
 from datagen.report.style import EXPECTED, INK, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 QUANTITIES = ("histogram", "transient")
-_MOMENTS = 4
 _LABELS = (
     "Ground truth as stored, seen from the plane of the relay wall, orthographically; right and up as for somebody "
     "who faces it."
@@ -81,8 +77,8 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     )
     if raster is not None:
         text += (
-            f" Below: the wall at {_MOMENTS} moments, right and up as for somebody who faces it (square root of the "
-            "signal, each on its own scale)."
+            f" Below: the wall at {scans.MOMENTS} moments, right and up as for somebody who faces it (square root of "
+            "the signal, each on its own scale)."
         )
     heights = [4.4] if raster is None else [4.4, 3.4]
     figure, grid = captioned(15, heights, text, f"{stored.title}: {name}")
@@ -103,11 +99,8 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     _draw_curves(curves, values, (laser, pixel), time, unit)
     if raster is not None:
         below = figure.add_subfigure(grid[1, 0])
-        for number, bins in enumerate(scans.moments(scan, _MOMENTS)):
-            axes = below.add_subplot(1, _MOMENTS, number + 1)
-            scans.draw_moment(axes, scan, bins, raster)
-            edges = time.edges_s * 1e9
-            axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
+        for number, bins in enumerate(scans.moments(scan)):
+            scans.draw_moment(below.add_subplot(1, scans.MOMENTS, number + 1), scan, bins, raster, time)
     return figure
 
 

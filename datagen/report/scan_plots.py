@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure, FigureBase
 
 from datagen.labels import ViewFrame
 from datagen.records import Capture, Rectangle, TimeAxis
@@ -13,12 +16,10 @@ from datagen.records.arrays import Floats, Ints
 from datagen.report.style import LASER, captioned, empty_note
 from datagen.report.time_plots import busy_window, time_label
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, FigureBase
-
 _COLORS = "magma"
 _DECADES = 3.5
+MOMENTS = 4
+"""Moments at which the whole wall is shown. Halved, a wavefront's way over it is lost."""
 _NUMBERED = 40
 """Largest number of laser points that are numbered in the picture. More numbers would cover one another."""
 
@@ -89,18 +90,10 @@ def scan_of(values: Floats, raster: Raster) -> Floats:
 
 
 def draw_time_slice(
-    figure: FigureBase,
-    axes: Axes,
-    scan: Floats,
-    row: int,
-    raster: Raster,
-    time: TimeAxis,
-    limits: tuple[float, float],
-    unit: str = "photons per emitted photon and bin",
-) -> None:
+    figure: FigureBase, axes: Axes, scan: Floats, row: int, raster: Raster, time: TimeAxis,
+    limits: tuple[float, float], unit: str = "photons per emitted photon and bin",
+) -> None:  # fmt: skip
     """One row of the scan: place on the wall across, time down, the logarithm of the signal as brightness."""
-    from matplotlib.colors import LogNorm
-
     edges = time.edges_s * 1e9
     across = _reach(raster.x_m)
     axes.set(xlabel="place along the row (m to the right)", ylabel=time_label(time))
@@ -118,24 +111,28 @@ def draw_time_slice(
     figure.colorbar(image, ax=axes, pad=0.02, label=unit)
 
 
-def draw_moment(axes: Axes, scan: Floats, bins: slice, raster: Raster) -> None:
-    """The whole scan summed over a few bins: the wall as a picture, square root of the signal as brightness."""
+def draw_moment(axes: Axes, scan: Floats, bins: slice, raster: Raster, time: TimeAxis | None = None) -> None:
+    """The whole scan summed over a few bins: the wall as a picture, square root of the signal as brightness. With
+    `time` the title says when that was."""
     top, bottom = _reach(raster.z_m)
     extent = (*_reach(raster.x_m), bottom, top)
     shown = np.sqrt(scan[..., bins].sum(axis=-1))
     axes.imshow(shown, extent=extent, cmap=_COLORS, interpolation="nearest", vmin=0.0)
     axes.set(xlabel="right (m)", ylabel="up (m)")
+    if time is not None:
+        edges = time.edges_s * 1e9
+        axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
 
 
-def moments(objects: Floats, count: int) -> list[slice]:
-    """Groups of bins, early to late, about the middles of `count` equal shares of the objects' light."""
+def moments(objects: Floats) -> list[slice]:
+    """`MOMENTS` groups of bins, early to late, about the middles of equal shares of the objects' light."""
     curve = objects.sum(axis=(0, 1))
     if not curve.any():
         return []
     reached = np.cumsum(curve) / curve.sum()
-    centers = [int(np.searchsorted(reached, q)) for q in (np.arange(count) + 0.5) / count]
+    centers = [int(np.searchsorted(reached, q)) for q in (np.arange(MOMENTS) + 0.5) / MOMENTS]
     first, last = int(np.searchsorted(reached, 0.01)), int(np.searchsorted(reached, 0.99))
-    half = max(0, (last - first) // (8 * count))
+    half = max(0, (last - first) // (8 * MOMENTS))
     return [slice(max(0, c - half), min(len(curve), c + half + 1)) for c in centers]
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from datagen.labels import make_labels
+from matplotlib.figure import Figure
+
+from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.report import pages as drawn
 from datagen.report.evidence_pictures import evidence_page
 from datagen.report.label_plots import boxes_of
@@ -14,10 +15,6 @@ from datagen.report.replay import Replay, StoredScene, read_scene, replay
 from datagen.report.room_plots import RoomPicture
 from datagen.report.roomless import roomless_pages, why_roomless
 from datagen.report.style import house_style, save_png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 PAGES = ("overview", "transient", "histogram", "evidence", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
@@ -33,8 +30,6 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     (scenes made in Python, imported captures, mesh files that are gone) only stored measurements and labels are
     drawn.
 
-    Parameters
-    ----------
     out : folder for the pictures; default `DATASET.show` beside the dataset, never inside it.
 
     Raises
@@ -58,7 +53,9 @@ def pages(stored: StoredScene, again: Replay, names: Sequence[str] = PAGES) -> I
 
     To be used within `house_style()`.
     """
-    wanted = drawn.labels_of(stored)
+    # Depth is drawn in any case.
+    names_known = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
+    wanted = [name for name in names_known if name in stored.arrays or name == "depth"]
     kept = {name: stored.arrays[name] for name in wanted if name in stored.arrays}
     made = make_labels(stored.config.labels, again.scene, [name for name in wanted if name not in kept])
     labels = {name: (kept | made)[name] for name in wanted}

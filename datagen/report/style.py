@@ -10,16 +10,16 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 
 from datagen.errors import InputError
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-    from matplotlib.gridspec import GridSpec
-
-    from datagen.records import Scene
+from datagen.records import Scene
 
 DPI = 110
 INK = "#222222"
@@ -38,8 +38,6 @@ _FLOOR, _CEILING = "#E6DDC8", "#C6D3DD"
 @contextmanager
 def house_style() -> Iterator[None]:
     """Matplotlib's own defaults with our fonts, whatever the user's settings are; restored afterwards."""
-    import matplotlib
-
     defaults: dict[Any, Any] = {
         key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith("backend")
     }
@@ -62,8 +60,7 @@ def house_style() -> Iterator[None]:
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
-    """Part name → colour: bright for objects, grey for the room, light blue for the relay wall, darker blue for
-    clutter before it."""
+    """Part name → colour: bright for objects, grey for the room, blue for the relay wall and clutter before it."""
     colors, objects, walls, relays = {}, 0, 0, 0
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if role == "relay_wall":
@@ -81,11 +78,7 @@ def part_colors(scene: Scene) -> dict[str, str]:
 
 
 def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
-    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents (constrained layout, which is
-    slow for many axes)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents, which is slow for many."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
     if arranged:
         figure.set_layout_engine("constrained")

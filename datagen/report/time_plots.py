@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from datagen.records import Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.report.style import EXPECTED, INK, empty_note, part_colors
 from datagen.units import path_from_time
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _DECADES = 5.0
 _COUNTS = "#9A9A9A"
@@ -28,8 +26,7 @@ def time_label(axis: TimeAxis) -> str:
 
 
 def clear_channel(scene: Scene, transient: Transient) -> tuple[int, int]:
-    """(laser, pixel) where objects' light is clearest, by its energy times its share; without objects the
-    brightest."""
+    """(laser, pixel) where objects' light is clearest, by its energy times its share; else the brightest."""
     total = transient.total.sum(axis=2)
     objects = sum(
         (transient.parts[name].sum(axis=2) for name in scene.objects if name in transient.parts), np.zeros_like(total)
@@ -117,8 +114,7 @@ def draw_counts(
 def draw_residuals(
     axes: Axes, counts: NDArray[Any], expected: Floats, time: TimeAxis, *, is_poisson: bool = True
 ) -> None:
-    """Residuals in units of the Poisson spread; for Poisson counts with a band that holds 95 % of them where counts
-    are high."""
+    """Residuals in units of the Poisson spread, with a band for 95 % of Poisson counts where counts are high."""
     with np.errstate(divide="ignore", invalid="ignore"):
         residuals = (counts - expected) / np.sqrt(expected)
     values = np.where((expected > 0) | (counts > 0), residuals, np.nan)

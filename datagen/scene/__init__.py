@@ -1,5 +1,4 @@
-"""Scenes: rooms are drawn, furnished and checked; objects are hidden from the device, the relay wall is in its
-view."""
+"""Scenes: rooms are drawn and furnished; objects are hidden from the device, the relay wall is in its view."""
 
 from datagen.scene.generate import check_scene_config, generate_scene, meshes_named
 

@@ -38,8 +38,6 @@ from scene_library.solids import Solid, Surface, prism, rectangle, regular_polyg
 class Thing:
     """An object to be placed: everything that is drawn for it except its place.
 
-    Attributes
-    ----------
     where, item : key of its settings, such as contents[0], and the settings.
     name, label : of its part, and its class.
     solid : its triangles, standing at the origin.
@@ -59,8 +57,6 @@ class Thing:
 class DrawnRoom:
     """A drawn room, whose objects have no places yet.
 
-    Attributes
-    ----------
     surfaces, materials : of the room's own parts, by name.
     clutter : the space taken by those parts that stand before the relay wall.
     things : its objects.

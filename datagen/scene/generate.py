@@ -210,8 +210,7 @@ def _hidden_view(plan: FloorPlan) -> Rectangle:
 
 
 def _upright(right_end: Floats, left_end: Floats, height_m: float) -> Rectangle:
-    """The upright rectangle on a plan segment; with ends given as seen from the room its normal points into the
-    room."""
+    """The upright rectangle on a plan segment with ends as seen from the room, into which its normal points."""
     center = np.array([*(right_end + left_end) / 2, height_m / 2])
     return Rectangle.of(center, [*(right_end - left_end) / 2, 0.0], [0.0, 0.0, height_m / 2])
 

@@ -62,7 +62,9 @@ def place(
     where, item, solid = thing.where, thing.item, thing.solid
     placement = item.placement if isinstance(item, Standing) else "floor"
     z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
-    spots = _wall_spots(plan) if placement == "wall" else None
+    # Places along the walls of the hidden part, the relay wall left out; none in the open.
+    edges = np.delete(plan.edges, plan.relay_edge, axis=0)[: 0 if plan.open_air else None]
+    spots = WallSpots.within(edges, plan.hidden) if placement == "wall" else None
     obstacles: Counter[str] = Counter()
     along = item.along if item.distance_m is None else item.distance_m
     across = item.across if item.offset_m is None else item.offset_m
@@ -106,9 +108,3 @@ def _spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float)
     low, high = plan.hidden
     along, across = (np.array([x, y]) - low) / (high - low)
     return Spot(x, y, z, rotation_deg, float(along), float(across if plan.across_from_low else 1 - across))
-
-
-def _wall_spots(plan: FloorPlan) -> WallSpots:
-    """Places along the walls of the hidden part, the relay wall left out; none in the open."""
-    edges = np.delete(plan.edges, plan.relay_edge, axis=0)
-    return WallSpots.within(edges[:0] if plan.open_air else edges, plan.hidden)

@@ -112,8 +112,7 @@ def draw_clutter(
 
 
 def _before_wall(piece: Surface, along_m: float, start: Floats, end: Floats) -> tuple[Surface, Occupied]:
-    """Surface and space of a piece (x along the wall, y out of it, z up) with its middle `along_m` from the wall's
-    start."""
+    """Surface and space of a piece (x along the wall, y out of it, z up) whose middle is at `along_m`."""
     vertices, faces = piece
     along = (end - start) / length(end - start)
     inward = np.array([-along[1], along[0]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import zipfile
 from collections.abc import Callable, Mapping
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.config.base import near_hint
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats
 from datagen.scoring.truth import Truth
@@ -57,9 +57,8 @@ def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Pr
         raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
     for name in arrays:
         if name not in ("scene", *QUANTITIES):
-            near = difflib.get_close_matches(name, QUANTITIES, 1)
-            meant = f"did you mean {near[0]!r}? Known are" if near else "known are"
-            raise InputError(f"{where}: unknown array {name!r}; {meant} scene, {', '.join(QUANTITIES)}")
+            hint = near_hint(name, QUANTITIES)
+            raise InputError(f"{where}: unknown array {name!r}; {hint}Known are scene, {', '.join(QUANTITIES)}")
     if len(arrays) == 1:
         raise InputError(f"{where}: holds nothing beside `scene`; give any of {', '.join(QUANTITIES)}")
     rows = _rows(where, np.asarray(arrays["scene"]), truth)

@@ -151,15 +151,13 @@ def _by_scene(found: Predictions, truth: Truth) -> dict[str, Floats]:
 
 
 def _ssim(depth: Floats, mask: Bools, truth: Truth, k: int) -> float:
-    """SSIM of the depth images of scene `k`, in units of the depth of the hidden part; pixels without an object are
-    0."""
+    """SSIM of the depth images of scene `k`, in units of the hidden part's depth; 0 where no object is."""
     true = np.where(truth.on_object[k], truth.depth[k], 0.0)
     return ssim(np.where(mask[k], depth[k], 0.0) / truth.reach[k], true / truth.reach[k])
 
 
 def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
-    """Chamfer distance of scene `k`, metres: NaN if the scene shows no object, the diagonal of the hidden part if no
-    object was predicted."""
+    """Chamfer distance of scene `k`, metres: NaN if it shows no object, the diagonal of all if none was found."""
     true = image_points(truth.depth[k], truth.on_object[k], *truth.view[k])
     if not len(true):
         return float("nan")
@@ -172,8 +170,7 @@ def _chamfer(found: Predictions, truth: Truth, k: int) -> float:
 
 
 def _center_errors(found: Predictions, truth: Truth) -> list[Floats]:
-    """One array for each scene, with the error of each object's centre in metres; no array without predicted
-    centres."""
+    """For each scene the error of each object's centre, metres; an empty list without predicted centres."""
     if found.centers is None:
         return []
     return [

@@ -26,8 +26,6 @@ NEEDED = (
 class Truth:
     """The labels of the scenes of one split.
 
-    Attributes
-    ----------
     manifest : the dataset's manifest.
     scenes : (N,) indices of the scenes.
     depth : (N, R, C) metres.

@@ -1,5 +1,4 @@
-"""The Zarr v3 group of a dataset: its metadata, which only the parent process writes, and the codecs of each
-array."""
+"""The Zarr v3 group of a dataset: metadata, which only the parent process writes, and the codecs of each array."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ LEVEL = 1
 
 
 def shard_file(field: Field, shard: int) -> str:
-    """Path, relative to the dataset, of the file that holds shard number `shard` of a field. A file has one
-    writer."""
+    """Path, relative to the dataset, of the file of shard number `shard` of a field. A file has one writer."""
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
@@ -52,8 +50,7 @@ def metadata_files(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, 
 
 
 def coordinates(axes: Iterable[str]) -> tuple[str, ...]:
-    """Files of the arrays of arrival times. An array has the name of its axis, which makes it a coordinate for
-    xarray."""
+    """Files of the arrays of arrival times, each named as its axis, which makes it a coordinate for xarray."""
     return tuple(f"{GROUP}/{axis}/{file}" for axis in axes for file in ("zarr.json", "c/0"))
 
 

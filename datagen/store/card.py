@@ -178,8 +178,7 @@ def _split_lines(table: pa.Table) -> list[str]:
 
 
 def _stats_lines(manifest: Manifest) -> list[str]:
-    """A table with mean and standard deviation of each field in the split `train`, for the normalisation of
-    inputs."""
+    """A table of mean and standard deviation of each field in the split `train`, by which inputs are normalised."""
     fields = (manifest.stats or {}).get("train", {})
     rows = [f"| `{name}` | {s['mean']:.6g} | {s['std']:.6g} | {s['nonzero']:.4g} |" for name, s in fields.items()]
     head = [

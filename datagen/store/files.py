@@ -24,13 +24,11 @@ from datagen.store.location import Location, size_of, sized_chunks
 PARTIAL = ".partial"
 """Suffix of a file that is being written. A file with this suffix that nobody has locked may be deleted."""
 JSON_BYTES = 64 * 2**20
-"""A larger JSON file was not written by datagen: a record has at most 256 scenes of 10 kB each. Half as many bytes
-would still be enough."""
+"""A larger JSON file was not written by datagen: a record has 256 scenes of 10 kB at most. Half would do, too."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 _NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP
-"""Errors of opening a file that is missing, lies below a file instead of a folder, or is a link that leads
-nowhere."""
+"""Errors of opening a file that is missing, lies below a file, or is a link that leads nowhere."""
 _NOT_PLAIN = errno.EINVAL, errno.ENXIO
 """Errors of opening a folder, a pipe or a socket as a file."""
 
@@ -38,8 +36,7 @@ T = TypeVar("T")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a new file beside `path`, sync it, and rename it: a reader sees the old content or the new one, even if
-    this process dies."""
+    """Write a new file beside `path`, sync and rename it: readers see old or new content, even after a crash."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
         with _new_locked(partial) as file:
@@ -71,8 +68,7 @@ def _new_locked(partial: Path) -> BinaryIO:
 
 
 def clear_partials(folder: Path) -> None:
-    """Remove the half-written files that killed builds left in a folder. The files of running builds are locked, and
-    stay."""
+    """Remove the half-written files that killed builds left in a folder; those of running builds are locked."""
     for partial in folder.glob(f"*{PARTIAL}"):
         with contextlib.suppress(OSError):
             handle = os.open(partial, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
@@ -121,8 +117,7 @@ def sealed(values: dict[str, Any]) -> bytes:
 
 
 def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content matches the checksum at its end. Content without checksum is intact unless
-    `must_be_sealed`."""
+    """Whether a file's content matches the checksum at its end; content without one is, unless `must_be_sealed`."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
     if seal is None:
         return not must_be_sealed

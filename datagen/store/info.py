@@ -91,8 +91,7 @@ def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
 
 
 def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
-    """Stage → median seconds per scene; "store" is the time of a shard divided by its scenes. Stages that no scene
-    has are left out."""
+    """Stage → median seconds per scene, of stages that any scene has; "store" is a shard's time over its scenes."""
     taken = {
         stage: [scene.seconds[stage] for scene in scenes_made(records) if stage in scene.seconds] for stage in STAGES
     }

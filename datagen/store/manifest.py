@@ -1,5 +1,4 @@
-"""`dataset.json`, the manifest: configuration, fields and origin of a dataset. A folder with a manifest is a
-dataset."""
+"""`dataset.json`, the manifest: configuration, fields and origin. A folder with a manifest is a dataset."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
 from datagen.store.environment import commit, environment, hardware
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.location import Location, location_of
-from datagen.store.record import Digest, recorded_shards
+from datagen.store.record import Digest, Finite, recorded_shards
 from datagen.store.schema import (
     CHECKSUMS_SINCE,
     COORDINATES_SINCE,
@@ -59,8 +58,6 @@ class DamagedManifest(InputError):
 class Manifest:
     """The content of `dataset.json`.
 
-    Attributes
-    ----------
     config : the configuration as plain values, with the key names of its `schema_version`.
     meshes : mesh file → digest of its bytes.
     mesh_folder : the folder from which relative mesh paths start; None without such paths, so that no machine's paths
@@ -229,7 +226,6 @@ def read_manifest(root: str | Location) -> Manifest:
 Name = Annotated[str, pydantic.Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 """A name of a field or a dimension. It must not be a path, because folders are named after fields."""
 Size = Annotated[int, pydantic.Field(ge=1, lt=2**40)]
-Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 
 
 def is_fresh(root: Path) -> bool:
-    """Whether a build starts a new dataset: the folder is missing or empty, or a build died while it wrote its first
-    file there."""
+    """Whether a build starts a new dataset: no folder, an empty one, or only the rest of a first file."""
     if not root.exists():
         return True
     return root.is_dir() and all(

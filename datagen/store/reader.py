@@ -25,6 +25,7 @@ from numcodecs import blosc
 from numpy.typing import NDArray
 
 from datagen.errors import CheckError
+from datagen.records.arrays import Bools, Ints
 from datagen.store.arrays import chunk_grid, shard_file
 from datagen.store.environment import cores
 from datagen.store.location import Location, read_range, size_of
@@ -57,7 +58,7 @@ class Part:
     last : a slice of step 1 along the last axis, which is never cut into chunks.
     """
 
-    axes: tuple[NDArray[np.int64], ...]
+    axes: tuple[Ints, ...]
     last: slice
 
     @property
@@ -74,8 +75,6 @@ class Part:
 class DatasetReader:
     """Reads the values of a dataset. Several threads must not share a reader; a forked process may use it.
 
-    Parameters
-    ----------
     fields : names of the fields that will be read.
     check : compare every value with its digest when it is first read, and file sizes with the commit record. Without
         it missing and damaged files are still found, by their checksums, but not files that were exchanged.
@@ -84,7 +83,7 @@ class DatasetReader:
 
     def __init__(
         self, root: Location, manifest: Manifest, fields: Iterable[str], check: bool = True,
-        seen: Mapping[str, NDArray[np.bool_]] | None = None,
+        seen: Mapping[str, Bools] | None = None,
     ) -> None:  # fmt: skip
         self._root, self._manifest, self._schema = root, manifest, manifest.schema
         self._fields = {name: self._schema.by_name[name] for name in fields}
@@ -136,8 +135,7 @@ class DatasetReader:
         return out
 
     def _keep(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
-        """The array in memory under a key, made if it is not there. The oldest arrays are dropped when memory is
-        full."""
+        """The array in memory under a key, made if it is not there; the oldest are dropped when memory is full."""
         kept = self._kept.get(key)
         if kept is None:
             kept = make()
@@ -257,8 +255,7 @@ class DatasetReader:
         return np.frombuffer(stored, "<u8", count=size // 8).reshape(shape)
 
     def _size(self, field: Field, shard: int) -> int:
-        """Size of a shard's file in bytes. It must be that of the commit record, unless all scenes were checked
-        before."""
+        """Bytes of a shard's file, which must be those of the commit record unless all scenes were checked before."""
         try:
             size = size_of(self._root / shard_file(field, shard))
         except OSError as error:

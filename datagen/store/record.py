@@ -29,8 +29,7 @@ Digest = Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
 
 @dataclass(frozen=True)
 class SceneRecord:
-    """One scene of a shard. `failure` says why the scene could not be made (its values are fill values), or is
-    None."""
+    """One scene of a shard; `failure` says why it could not be made (its values are fill values), or is None."""
 
     index: int
     failure: str | None = None
@@ -54,8 +53,6 @@ class FileRecord:
 class ShardRecord:
     """A committed shard: its files, its scenes, and the environment in which it was made.
 
-    Attributes
-    ----------
     first_scene, last_scene : its first scene and its last one.
     fingerprint : of the configuration that it was made with.
     files : path relative to the dataset → hash and size.
@@ -100,8 +97,7 @@ class ShardRecord:
         return None
 
     def problem(self, root: Location, hashes: bool = True) -> str | None:
-        """A sentence on the first file of the shard that is not as it was written, or None. Without `hashes` only the
-        sizes are compared."""
+        """A sentence on the first file of the shard that is not as written, or None; without `hashes`, by sizes."""
         for name, known in self.files.items():
             wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
             if wrong is not None:

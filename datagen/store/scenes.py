@@ -49,8 +49,7 @@ class Scenes:
         return sorted(scene.index for scene in scenes_made(committed(self.root, self.manifest)))
 
     def read(self, index: int, called: str = "scene") -> SceneContent:
-        """The scene of an index. Raises `InputError`, which calls the index `called`, if the scene is not there or
-        could not be made."""
+        """The scene of an index. Raises `InputError`, which calls it `called`, if it is not there or was not made."""
         schema = self.manifest.schema
         shard = index // schema.scenes_per_shard
         record = read_record(self.root, shard, self.manifest.must_be_sealed)

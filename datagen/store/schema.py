@@ -73,8 +73,6 @@ _VOLUME = ("scene", "voxel_depth", "voxel_row", "voxel_column")
 class Field:
     """One array of a dataset.
 
-    Attributes
-    ----------
     dims : dimension names; the first is `scene`. A name has the same size in all fields of a dataset.
     shape : the shape of one scene's value, without the scene axis.
     sharded : whether each scene has chunks of its own, in shards of K scenes (large fields), or a chunk holds K

@@ -1,5 +1,4 @@
-"""Writing one shard: old files are removed, the file of each field is written and synced, and the record comes
-last."""
+"""Writing one shard: old files are removed, each field's file is written and synced, and the record comes last."""
 
 from __future__ import annotations
 
@@ -132,8 +131,7 @@ def _write_new(path: Path, content: bytes) -> FileRecord:
 
 
 def _fill_in(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
-    """Copy a sample's values into the arrays of a shard; returns its record. `first` is the first scene of the
-    shard."""
+    """Copy a sample's values into the arrays of a shard whose first scene is `first`; returns its record."""
     if isinstance(sample, str):
         return SceneRecord(index, failure=printable(sample))
     try:

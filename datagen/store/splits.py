@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.config.splits import BY_SHARE, HeldOut, SplitsConfig
 from datagen.records import Scalar
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, seed_sequence
 
 Parameters = Mapping[str, Scalar]
@@ -35,13 +35,11 @@ def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list
     ends = np.cumsum(splits.shares)[:-1] - 1e-9
     dealt = np.searchsorted(ends, share, side="right")
     return [
-        None if scene is None else _held_out(scene, splits) or BY_SHARE[number]
+        None
+        if scene is None
+        else next((rule.name for rule in splits.held_out if _shows(scene, rule)), BY_SHARE[number])
         for scene, number in zip(scenes, dealt, strict=True)
     ]
-
-
-def _held_out(parameters: Parameters, splits: SplitsConfig) -> str | None:
-    return next((rule.name for rule in splits.held_out if _shows(parameters, rule)), None)
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
@@ -50,7 +48,7 @@ def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:
     return tuple(sorted(own or parameters.items()))
 
 
-def _shares(scenes: int) -> NDArray[np.float64]:
+def _shares(scenes: int) -> Floats:
     """(scenes,) random numbers in 0 … 1; of ten in a row one lies in each tenth. The first numbers do not depend on
     `scenes`, so a dataset that grows keeps them."""
     blocks = -(-scenes // _BLOCK)

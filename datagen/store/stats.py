@@ -14,6 +14,8 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
+
 LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
 """Labels whose values are quantities, not indices."""
 COUNTS = ("histogram", "background_histogram")
@@ -55,7 +57,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     return FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), found.size / size)
 
 
-def _sum(values: NDArray[np.float64]) -> float:
+def _sum(values: Floats) -> float:
     """The sum of values, independent of their order. Each value is rounded to a multiple of 2^−steps, as fine as lets
     the sum fit into 62 bits. That is finer than a double, so the spread of almost equal values stays right."""
     largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
@@ -66,8 +68,7 @@ def _sum(values: NDArray[np.float64]) -> float:
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
-    """The statistics of several scenes of one shape together, from those of each scene: field of `FieldStats` →
-    value."""
+    """The statistics of several scenes of one shape, from those of each: field of `FieldStats` → value."""
     if not scenes:
         raise ValueError("no scenes")
     mean, nonzero = (math.fsum(getattr(one, name) for one in scenes) / len(scenes) for name in ("mean", "nonzero"))

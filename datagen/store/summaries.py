@@ -36,8 +36,6 @@ Parameters = Iterable[Mapping[str, object]]
 class KindEvidence:
     """The significance of all objects of one kind.
 
-    Attributes
-    ----------
     kind : name in `scene.contents`.
     objects : number of objects.
     median : of their significance.
@@ -55,11 +53,6 @@ class KindEvidence:
     under_1: float
     exposure_factor: float
     within_m: float = math.nan
-
-
-def kind_of(part: str) -> str:
-    """The kind of an object, which is the name of its part without the number (box_2: box)."""
-    return re.sub(r"_\d+$", "", part)
 
 
 def evidence_by_kind(scenes: Parameters, together: str | None = None) -> list[KindEvidence]:
@@ -85,7 +78,8 @@ def _objects_by_kind(scenes: Parameters, together: str | None = None) -> dict[st
             if match and isinstance(value, int | float):
                 away = parameters.get(f"{match[1]}.away_m")
                 one = float(value), float(away) if isinstance(away, float) else math.nan
-                kinds.setdefault(together or kind_of(match[1]), []).append(one)
+                # The kind is the name of the part without its number (box_2: box).
+                kinds.setdefault(together or re.sub(r"_\d+$", "", match[1]), []).append(one)
     return dict(sorted(kinds.items()))
 
 
@@ -119,8 +113,7 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
 
 
 def placed_anew_lines(scenes: Parameters) -> list[str]:
-    """One line on how many scenes had their objects placed again for `evidence_at_least`; no line without that
-    key."""
+    """One line on how often objects were placed again for `evidence_at_least`; no line without that key."""
     times = [value for scene in scenes if isinstance(value := scene.get(PLACED_ANEW), int)]
     if not times:
         return []
@@ -132,8 +125,7 @@ def placed_anew_lines(scenes: Parameters) -> list[str]:
 
 
 def label_place_line(scenes: Parameters) -> str:
-    """One sentence on where label images lie relative to the scan; "" for datasets before version 0.14, which do not
-    store it."""
+    """One sentence on where label images lie beside the scan; "" for datasets that do not store it (before 0.14)."""
     shifts = []
     for parameters in scenes:
         right, up = (parameters.get(name) for name in SCAN_PLACE)

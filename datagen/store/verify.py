@@ -44,8 +44,7 @@ def committed(
 
 
 def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
-    """Write the files of a complete dataset beside its arrays: the table, the cards, and `stats` in
-    `dataset.json`."""
+    """Write the files of a complete dataset beside its arrays: table, cards, and `stats` in `dataset.json`."""
     table = _table(manifest, records)
     manifest = replace(manifest, stats=stats_by_split(table))
     write_if_changed(root / MANIFEST, manifest.to_bytes())

@@ -3,7 +3,6 @@ file, and the digest of its values is in `digests.json`."""
 
 from __future__ import annotations
 
-import difflib
 import functools
 import json
 from collections import Counter
@@ -13,6 +12,7 @@ from typing import Any
 
 from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
+from datagen.config.base import near_hint
 from datagen.errors import CheckError, InputError
 from datagen.records.checks import check_kind
 from datagen.store import Manifest, read_manifest
@@ -30,8 +30,6 @@ PINNED = FOLDER / "digests.json"
 class Suite:
     """A benchmark suite.
 
-    Attributes
-    ----------
     name : its name with the version, such as `letters-9`. The bytes of a name never change.
     digest : hex SHA-256 of all its values as published (`datagen digest`).
     """
@@ -67,9 +65,8 @@ SUITES: dict[str, Suite] = {
 def find_suite(name: str) -> Suite:
     """The suite of a name. Raises `InputError` for an unknown name."""
     if name not in SUITES:
-        near = difflib.get_close_matches(name, SUITES, 1, 0.4)
-        meant = f"did you mean {near[0]!r}? There are" if near else "there are"
-        raise InputError(f"NAME = {name!r}: no such suite; {meant} {', '.join(SUITES)}")
+        hint = near_hint(name, SUITES, 0.4)
+        raise InputError(f"NAME = {name!r}: no such suite; {hint}There are {', '.join(SUITES)}")
     return SUITES[name]
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scene_library.rounding import cos, sin
+from scene_library.rounding import Floats, cos, sin
 from scene_library.solids import Solid, Surface, ellipsoid, limb
 
 
-def _direction(angle_forward: float, angle_out: float, side: float) -> NDArray[np.float64]:
+def _direction(angle_forward: float, angle_out: float, side: float) -> Floats:
     """A downward limb swung forward (towards −y) and outward by angles in radians."""
     return np.array(
         [
@@ -20,9 +19,7 @@ def _direction(angle_forward: float, angle_out: float, side: float) -> NDArray[n
     )
 
 
-def _arm(
-    shoulder: NDArray[np.float64], side: float, length: float, girth: float, rng: np.random.Generator
-) -> list[Surface]:
+def _arm(shoulder: Floats, side: float, length: float, girth: float, rng: np.random.Generator) -> list[Surface]:
     swing, spread, bend = rng.uniform(-0.5, 1.2), rng.uniform(0.05, 0.9), rng.uniform(0.0, 1.4)
     elbow = shoulder + 0.5 * length * _direction(swing, spread, side)
     hand = elbow + 0.45 * length * _direction(swing + bend, 0.3 * spread, side)

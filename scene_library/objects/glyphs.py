@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scene_library.plates import union_plate
 from scene_library.polygons import Polygon, following, signed_area
-from scene_library.rounding import cos, sin
+from scene_library.rounding import Floats, cos, sin
 from scene_library.solids import Solid
 
 _Stroke = list[tuple[float, float]]
@@ -85,7 +84,7 @@ def glyph(character: str, width_m: float, height_m: float, stroke_m: float, thic
     return Solid.compound([union_plate(outlines, thickness_m)])
 
 
-def _ribbon(points: NDArray[np.float64], half: float) -> list[Polygon]:
+def _ribbon(points: Floats, half: float) -> list[Polygon]:
     """The outline of a stroke `2·half` wide along `points`; a ring has an outer outline and a hole."""
     if np.allclose(points[0], points[-1]):
         ring = points[:-1] if signed_area(points[:-1]) > 0 else points[:-1][::-1]
@@ -102,9 +101,9 @@ def _ribbon(points: NDArray[np.float64], half: float) -> list[Polygon]:
     return [np.concatenate([points + half * normal, (points - half * normal)[::-1]])]
 
 
-def _mitred(before: NDArray[np.float64], after: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mitred(before: Floats, after: Floats) -> Floats:
     """Offset directions (to the right) at joints between edges, long enough to keep the width; at most twice."""
-    right: Callable[[NDArray[np.float64]], NDArray[np.float64]] = lambda v: (  # noqa: E731
+    right: Callable[[Floats], Floats] = lambda v: (  # noqa: E731
         np.stack([v[:, 1], -v[:, 0]], axis=1) / np.linalg.norm(v, axis=1)[:, None]
     )
     a, b = right(before), right(after)
