@@ -1,14 +1,10 @@
 """The separation of a matched filter on drawn histograms, with which a stated significance is compared.
 
-    PYTHONPATH=. python tests/evidence/matched_filter.py 200
-
-prints measured over stated separation for 200 random scenes of the ready configurations, with scans of 2 × 2 points
-and different kinds of detectors.
+Random scenes of the ready configurations, with scans of 2 × 2 points and different kinds of detectors.
 """
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -145,21 +141,3 @@ def separation(scene: int, mode: str) -> Separation:
 def farthest_of(scenes: int) -> float:
     """Standard errors that none of so many scenes exceeds, except in one run in a thousand (Bonferroni)."""
     return float(norm.isf(1e-3 / scenes / 2))
-
-
-if __name__ == "__main__":
-    scenes = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    all_of_them = []
-    for number in range(scenes):
-        kind = MODES[number % len(MODES)]
-        of = separation(number, kind)
-        all_of_them.append(of)
-        room, ratio = ready()[number % len(ready())].name, of.measured / of.stated
-        line = f"{of.stated:8.3f} {of.follows:8.3f} {of.measured:8.3f} ± {of.error:.3f}  {ratio:.3f}"
-        print(f"{number:4d} {room:26s} {kind:20s} {line}", flush=True)
-    ratios, beyond = [of.measured / of.stated for of in all_of_them], [of.beyond for of in all_of_them]
-    significant = [ratio for ratio, of in zip(ratios, all_of_them, strict=True) if of.stated > 1]
-    print(
-        f"median {np.median(ratios):.4f}, of the {len(significant)} with σ > 1 {np.median(significant):.4f};"
-        f" farthest {max(beyond):.2f} standard errors from the prediction, at most {farthest_of(scenes):.2f} expected"
-    )

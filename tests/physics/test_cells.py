@@ -118,22 +118,6 @@ def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
     assert truth.met_target and cells_of(truth) < 1e6
 
 
-def test_light_is_linear_in_the_albedo() -> None:
-    """Halving all albedos leaves exactly an eighth of the light; halving one object's leaves half of that object's
-    light, within the error asked."""
-    room, capture = furnished_box(0.8), one_point_capture()
-    whole = cells(room, capture)
-    dim = cells(replace(room, materials=tuple(Lambertian(0.4) for _ in room.materials)), capture)
-    np.testing.assert_array_equal(dim.total * 8, whole.total)
-    grey = tuple(
-        Lambertian(0.4) if name == "box" else m for name, m in zip(room.part_names, room.materials, strict=True)
-    )
-    box = cells(replace(room, materials=grey), capture).parts["box"]
-    assert np.linalg.norm(2 * box - whole.parts["box"]) < 0.015 * np.linalg.norm(whole.parts["box"])
-    assert not simulate(furnished_box(0.0), capture, FINE).total.any()
-    assert everything(cells(furnished_box(1.0), capture)) == pytest.approx(everything(whole) / 0.8**3, rel=1e-3)
-
-
 def test_finer_triangles_and_another_order_are_the_same_surface() -> None:
     room, capture = furnished_box(), one_point_capture(half_side_m=0.02)
     plain = cells(room, capture)
