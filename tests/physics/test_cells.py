@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -61,20 +60,6 @@ def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     whole, seen, expected = (everything(cells(scene, looking_at(0.2))) for scene in (bare, covered, hole))
     assert seen == pytest.approx(expected, abs=0.01 * whole)
     assert 0.1 * whole < seen < 0.8 * whole
-
-
-def test_arrival_times_of_a_large_pixel_are_spread() -> None:
-    """A pixel of 40 cm, in bins of 2 cm, has the mean histogram of the 24 × 24 small pixels that it consists of."""
-    half, n = 0.2, 24
-    corners = looking_at(0.0, half).sensor.pixels[0]
-    y, z = (np.linspace(corners[:, k].min(), corners[:, k].max(), n + 1) for k in (1, 2))
-    small = np.array([[[0, a, c], [0, b, c], [0, b, d], [0, a, d]] for a, b in pairwise(y) for c, d in pairwise(z)])
-    large, eye = cells(wall_and_box(crate()), looking_at(0.0, half), Accuracy(target=0.005)), looking_at(0.0)
-    parts = cells(
-        wall_and_box(crate()), replace(eye, sensor=replace(eye.sensor, pixels=small)), Accuracy(target=0.01)
-    )
-    summed = parts.total.sum(axis=1)
-    assert np.linalg.norm(large.total[:, 0] - summed) < 0.01 * np.linalg.norm(summed)
 
 
 def empty_room() -> Scene:
