@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
 from datagen.records.checks import (
-    as_reals,
+    as_tdc_edges,
     as_weights,
     check_choice,
     check_flag,
@@ -25,11 +25,6 @@ Mode = Literal["ideal", "synchronous", "free_running"]
 
 MAX_CYCLES = 2**53
 """Most laser cycles of an exposure: float64 holds no larger numbers exactly. Halved, long exposures are refused."""
-
-
-TDC_PERIOD_ACCURACY = 1e-6
-"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables. Halved,
-tables with six digits are refused."""
 
 
 @dataclass(frozen=True)
@@ -190,25 +185,7 @@ class Spad:
             raise InputError(
                 f"Spad.tdc_dnl = {self.tdc_dnl:g} with tdc_edges_s: both set the widths of bins; leave one out"
             )
-        edges = as_reals("Spad.tdc_edges_s", given)
-        if edges.ndim not in (1, 2) or edges.shape[-1] < 2 or edges.size == 0:
-            raise InputError(
-                f"Spad.tdc_edges_s: shape {edges.shape} given; (pixel, edge) or (edge,) is needed, with one edge "
-                "more than the period has bins"
-            )
-        edges = np.atleast_2d(edges)
-        lengths = edges[:, -1]
-        with np.errstate(invalid="ignore"):
-            wrong = ~(np.isfinite(edges).all(axis=1) & (edges[:, 0] == 0) & (np.diff(edges) >= 0).all(axis=1))
-            wrong |= ~((lengths > 0) & (np.abs(lengths - lengths[0]) <= TDC_PERIOD_ACCURACY * lengths[0]))
-        if wrong.any():
-            pixel = int(wrong.argmax())
-            first, second, last = edges[pixel][[0, 1, -1]]
-            raise InputError(
-                f"Spad.tdc_edges_s[{pixel}] = ({first:g}, {second:g}, …, {last:g}): edges in seconds must start at "
-                "0 and never descend, and those of all pixels must end at the same time; correct them "
-                f"({wrong.sum()} such pixels)"
-            )
+        edges = as_tdc_edges("Spad.tdc_edges_s", given)
         object.__setattr__(self, "tdc_edges_s", tuple(tuple(row) for row in edges.tolist()))
 
     @property

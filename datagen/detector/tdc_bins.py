@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled, subroutine
 from datagen.detector.flux import Cycle, uniform_of_pixels
 from datagen.detector.random_numbers import Stream, binomial
-from datagen.detector.spad import TDC_PERIOD_ACCURACY, Spad
+from datagen.detector.spad import Spad
 from datagen.errors import InputError
+from datagen.records.checks import TDC_PERIOD_ACCURACY
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
