@@ -70,6 +70,8 @@ class DetectorConfig(Settings):
     """Photon detection efficiency × fill factor. Left out: 0.3."""
     dark_count_rate_hz: NotNegative | None = None
     """Left out: 100."""
+    dark_count_factors: tuple[Annotated[float, Field(ge=0)], ...] = ()
+    """Dark counts of each pixel over that rate. Left out: all pixels are alike."""
     dead_time_ns: NotNegative | None = None
     """Left out: 50."""
     paralyzable: bool = False
@@ -147,6 +149,7 @@ class DetectorConfig(Settings):
         late = ("exposure_for", "found_for", "pulse", "tdc_edges_ps")
         absent = [name for name in late if getattr(self, name) is None]
         absent += ["bins_merged"] if self.bins_merged == 1 else []
+        absent += [] if self.dark_count_factors else ["dark_count_factors"]
         absent += ["pulse_fwhm_ps"] if self.pulse is not None else []
         absent += ["tdc_dnl", "tdc_period_bins"] if self.tdc_edges_ps is not None else []
         return absent if self.exposure_for is None else [*absent, "cycles"]
@@ -178,6 +181,8 @@ class DetectorConfig(Settings):
             own["gate"] = GateConfig(start_ns=axis.start_s * 1e9, width_ns=(axis.stop_s - axis.start_s) * 1e9)
         elif counting.gate_ns is not None:
             own["gate"] = GateConfig(start_ns=counting.gate_ns[0], width_ns=counting.gate_ns[1])
+        if device.zones.dark_count_factors:
+            own["dark_count_factors"] = device.zones.dark_count_factors
         if counting.crosstalk_probability > 0:
             own["array_columns"] = device.zones.columns
         if pulse.sample_ps is not None:

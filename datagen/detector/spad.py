@@ -37,6 +37,8 @@ class Spad:
     ----------
     pde : photon detection efficiency × fill factor, 0 … 1.
     dark_count_rate_hz : thermally generated avalanches per second of a pixel that is not hot.
+    dark_count_factors : dark counts of each pixel, in units of `dark_count_rate_hz` and the order of the pixel axis;
+        ≥ 0, empty if all are alike.
     hot_pixel_fraction : share of hot pixels, 0 … 1; which pixels are hot depends on `hot_pixel_seed` only.
     hot_pixel_factor : dark-count rate of a hot pixel, in units of `dark_count_rate_hz`; ≥ 1.
     hot_pixel_seed : seed that decides which pixels of the array are hot; ≥ 0.
@@ -105,6 +107,7 @@ class Spad:
     # Without its thousands of numbers a hash takes a microsecond.
     tdc_edges_s: tuple[tuple[float, ...], ...] | None = field(default=None, hash=False)
     bins_merged: int = 1
+    dark_count_factors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("afterpulse_times_s", "afterpulse_weights"):
@@ -145,6 +148,9 @@ class Spad:
                 "Spad.paralyzable = True with afterpulsing or crosstalk: the three together are not modelled; "
                 "set afterpulse_probability and crosstalk_probability to 0"
             )
+        if len(self.dark_count_factors):
+            factors = as_weights("Spad.dark_count_factors", self.dark_count_factors, (None,))
+            object.__setattr__(self, "dark_count_factors", tuple(factors.tolist()))
         self._check_traps()
         self._check_gate()
         if self.tdc_edges_s is not None:

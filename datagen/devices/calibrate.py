@@ -294,6 +294,7 @@ class _Fit:
             "boxes": tuple(_rounded(box, 4) for box in shape.boxes), "field_deg": None, "map": None,
             "blur": round(shape.blur, 5), "gains": _rounded(gains / top), "glass": _rounded(glass),
             "delays_ps": _rounded((shape.zero_bins - zero) * width_ps, 4),
+            "dark_count_factors": _rounded(self.floor / self.floor.mean(), 4) if self.floor.any() else (),
         })  # fmt: skip
         counting = nominal.counting.model_copy(update={
             "cycles": round(self.cycles), "photons_per_pulse": float(f"{photons:.5g}"), "ambient_rate_hz": 0.0,
@@ -312,6 +313,7 @@ class _Fit:
                 "zones.gains",
                 "zones.glass",
                 "zones.delays_ps",
+                "zones.dark_count_factors",
                 "time.bin_width_ps",
                 "time.zero_bin",
                 "pulse",
