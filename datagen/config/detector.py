@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from datagen.config.base import Settings
 from datagen.config.device import DeviceConfig
 from datagen.config.distributions import Distribution, Fraction, NotNegative, support, within
+from datagen.config.tdc_edges import MeasuredEdges
 
 DetectorClass = Literal["lab_si", "si_array", "ingaas", "consumer_dtof", "any"]
 
@@ -68,6 +69,8 @@ class DetectorConfig(Settings):
     """Photon detection efficiency × fill factor. Left out: 0.3."""
     dark_count_rate_hz: NotNegative | None = None
     """Left out: 100."""
+    dark_count_factors: tuple[Annotated[float, Field(ge=0)], ...] = ()
+    """Dark counts of each pixel over that rate. Left out: all pixels are alike."""
     dead_time_ns: NotNegative | None = None
     """Left out: 50."""
     paralyzable: bool = False
@@ -94,7 +97,11 @@ class DetectorConfig(Settings):
     """Differential nonlinearity: how much the widths of the TDC's bins scatter, over their mean; 0.9 for an FPGA.
     Left out: all bins are equal."""
     tdc_period_bins: Annotated[int, Field(ge=8, le=65536)] = 140
-    """Bins after which the widths repeat."""
+    """Bins after which the drawn widths repeat."""
+    tdc_edges_ps: MeasuredEdges | None = None
+    """Instead of `tdc_dnl`: measured edges of the TDC's bins over one period, which starts at 0; one row a pixel, or
+    one for all. Numbers, or a file (.csv, .csv.gz, .npz) relative to the configuration's folder. A dataset stores the
+    numbers."""
     gate: GateConfig | None = None
     """Left out: always on."""
     repetition_rate_mhz: Annotated[Distribution, within(0, open_low=True)] | None = None
@@ -131,13 +138,19 @@ class DetectorConfig(Settings):
             raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
         if self.pulse is not None and "pulse_fwhm_ps" in self.model_fields_set:
             raise ValueError("pulse and pulse_fwhm_ps are both given, and each is the laser's pulse; leave one out")
+        for drawn in ("tdc_dnl", "tdc_period_bins") if self.tdc_edges_ps is not None else ():
+            if drawn in self.model_fields_set:
+                raise ValueError(f"{drawn} and tdc_edges_ps are both given, and each sets the bins; leave one out")
         return self
 
     def unwritten(self) -> list[str]:
         """Those of the keys that exclude each other, or came after the first datasets, that were not given."""
-        absent = [name for name in ("exposure_for", "found_for", "pulse") if getattr(self, name) is None]
+        late = ("exposure_for", "found_for", "pulse", "tdc_edges_ps")
+        absent = [name for name in late if getattr(self, name) is None]
         absent += ["bins_merged"] if self.bins_merged == 1 else []
+        absent += [] if self.dark_count_factors else ["dark_count_factors"]
         absent += ["pulse_fwhm_ps"] if self.pulse is not None else []
+        absent += ["tdc_dnl", "tdc_period_bins"] if self.tdc_edges_ps is not None else []
         return absent if self.exposure_for is None else [*absent, "cycles"]
 
     def of_device(self, device: DeviceConfig) -> DetectorConfig:
@@ -167,6 +180,8 @@ class DetectorConfig(Settings):
             own["gate"] = GateConfig(start_ns=axis.start_s * 1e9, width_ns=(axis.stop_s - axis.start_s) * 1e9)
         elif counting.gate_ns is not None:
             own["gate"] = GateConfig(start_ns=counting.gate_ns[0], width_ns=counting.gate_ns[1])
+        if device.zones.dark_count_factors:
+            own["dark_count_factors"] = device.zones.dark_count_factors
         if counting.crosstalk_probability > 0:
             own["array_columns"] = device.zones.columns
         if pulse.sample_ps is not None:

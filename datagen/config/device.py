@@ -61,10 +61,16 @@ class Zones(Settings):
     """By how much each zone records late; left out: 0."""
     glass: tuple[NotNegative, ...] = ()
     """Photons that the cover glass sends straight back to each zone, per emitted photon; left out: none."""
+    dark_count_factors: tuple[NotNegative, ...] = ()
+    """Dark counts of each zone over `counting.dark_count_rate_hz`; left out: 1."""
     crosstalk: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Share of the light of all other zones that each zone receives, too."""
     aperture_radius_mm: Positive = 0.2
     """Radius of the round entrance aperture."""
+
+    def unwritten(self) -> tuple[str, ...]:
+        """The key that came after the first devices that datasets store, if it was not given."""
+        return () if self.dark_count_factors else ("dark_count_factors",)
 
     @property
     def count(self) -> int:
@@ -76,7 +82,7 @@ class Zones(Settings):
         given = [bool(self.boxes), self.map is not None, self.field_deg is not None]
         if sum(given) != 1:
             raise ValueError("zones: exactly one of boxes, map, and field_deg (with rows and columns) is needed")
-        for name in ("weights", "gains", "delays_ps", "glass"):
+        for name in ("weights", "gains", "delays_ps", "glass", "dark_count_factors"):
             if len(getattr(self, name)) not in (0, self.count):
                 raise ValueError(
                     f"zones.{name}: {len(getattr(self, name))} numbers given for {self.count} zones; give one a zone"

@@ -66,7 +66,7 @@ class EffectsConfig(Settings):
     gate: Switch = "auto"
     """The detector's sensitivity in time; left out, it is always on."""
     tdc_nonlinearity: Switch = "auto"
-    """Unequal widths of the TDC's bins (`detector.tdc_dnl`)."""
+    """Unequal widths of the TDC's bins (`detector.tdc_dnl`, `.tdc_edges_ps`)."""
     tdc_saturation: Switch = "auto"
     """Counters that stay at `detector.counter_max`."""
 

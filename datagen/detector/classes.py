@@ -172,11 +172,13 @@ def detector_for(
             ("rise_s", "rise_ps", 1e-12),
         ):
             values[f"gate_{key}"] = draw(getattr(config.gate, gate), rng) * unit
+    edges = config.tdc_edges_ps
     spad = Spad(
+        tdc_edges_s=None if edges is None else np.array(edges) * 1e-12,  # type: ignore[arg-type]
         afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
         hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
         tdc_period_bins=config.tdc_period_bins, tdc_seed=int(rng.integers(2**62)) if values["tdc_dnl"] > 0 else 0,
-        bins_merged=config.bins_merged, **values,
+        bins_merged=config.bins_merged, dark_count_factors=config.dark_count_factors, **values,
     )  # fmt: skip
     return spad, exposure
 

@@ -279,8 +279,18 @@ def arrivals(light: Floats, cycle: Cycle) -> Floats:
 
 
 def dark_count_rates(spad: Spad, pixels: int, first_pixel: int = 0) -> Floats:
-    """(pixels,) dark counts per second of the pixels from number `first_pixel` on, some of which are hot."""
+    """(pixels,) dark counts per second of the pixels from number `first_pixel` on, some of which are hot.
+
+    Raises `InputError` if factors are given for fewer pixels.
+    """
     rates = np.full(pixels, float(spad.dark_count_rate_hz))
+    if factors := spad.dark_count_factors:
+        if len(factors) < first_pixel + pixels:
+            raise InputError(
+                f"Spad.dark_count_factors: {len(factors)} numbers, and pixels {first_pixel} … "
+                f"{first_pixel + pixels - 1} are measured; give one for each pixel, or none"
+            )
+        rates *= factors[first_pixel : first_pixel + pixels]
     if spad.hot_pixel_fraction > 0:
         rates[hot_pixels(spad, pixels, first_pixel)] *= spad.hot_pixel_factor
     return rates

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from datagen.errors import InputError
 from datagen.records.checks import (
-    as_reals,
+    as_tdc_edges,
     as_weights,
     check_choice,
     check_flag,
@@ -27,11 +27,6 @@ MAX_CYCLES = 2**53
 """Most laser cycles of an exposure: float64 holds no larger numbers exactly. Halved, long exposures are refused."""
 
 
-TDC_PERIOD_ACCURACY = 1e-6
-"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables. Halved,
-tables with six digits are refused."""
-
-
 @dataclass(frozen=True)
 class Spad:
     """A single-photon avalanche diode, or an array of equal ones, with its time-to-digital converter (TDC).
@@ -42,6 +37,8 @@ class Spad:
     ----------
     pde : photon detection efficiency × fill factor, 0 … 1.
     dark_count_rate_hz : thermally generated avalanches per second of a pixel that is not hot.
+    dark_count_factors : dark counts of each pixel, in units of `dark_count_rate_hz` and the order of the pixel axis;
+        ≥ 0, empty if all are alike.
     hot_pixel_fraction : share of hot pixels, 0 … 1; which pixels are hot depends on `hot_pixel_seed` only.
     hot_pixel_factor : dark-count rate of a hot pixel, in units of `dark_count_rate_hz`; ≥ 1.
     hot_pixel_seed : seed that decides which pixels of the array are hot; ≥ 0.
@@ -110,6 +107,7 @@ class Spad:
     # Without its thousands of numbers a hash takes a microsecond.
     tdc_edges_s: tuple[tuple[float, ...], ...] | None = field(default=None, hash=False)
     bins_merged: int = 1
+    dark_count_factors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("afterpulse_times_s", "afterpulse_weights"):
@@ -150,6 +148,9 @@ class Spad:
                 "Spad.paralyzable = True with afterpulsing or crosstalk: the three together are not modelled; "
                 "set afterpulse_probability and crosstalk_probability to 0"
             )
+        if len(self.dark_count_factors):
+            factors = as_weights("Spad.dark_count_factors", self.dark_count_factors, (None,))
+            object.__setattr__(self, "dark_count_factors", tuple(factors.tolist()))
         self._check_traps()
         self._check_gate()
         if self.tdc_edges_s is not None:
@@ -190,25 +191,7 @@ class Spad:
             raise InputError(
                 f"Spad.tdc_dnl = {self.tdc_dnl:g} with tdc_edges_s: both set the widths of bins; leave one out"
             )
-        edges = as_reals("Spad.tdc_edges_s", given)
-        if edges.ndim not in (1, 2) or edges.shape[-1] < 2 or edges.size == 0:
-            raise InputError(
-                f"Spad.tdc_edges_s: shape {edges.shape} given; (pixel, edge) or (edge,) is needed, with one edge "
-                "more than the period has bins"
-            )
-        edges = np.atleast_2d(edges)
-        lengths = edges[:, -1]
-        with np.errstate(invalid="ignore"):
-            wrong = ~(np.isfinite(edges).all(axis=1) & (edges[:, 0] == 0) & (np.diff(edges) >= 0).all(axis=1))
-            wrong |= ~((lengths > 0) & (np.abs(lengths - lengths[0]) <= TDC_PERIOD_ACCURACY * lengths[0]))
-        if wrong.any():
-            pixel = int(wrong.argmax())
-            first, second, last = edges[pixel][[0, 1, -1]]
-            raise InputError(
-                f"Spad.tdc_edges_s[{pixel}] = ({first:g}, {second:g}, …, {last:g}): edges in seconds must start at "
-                "0 and never descend, and those of all pixels must end at the same time; correct them "
-                f"({wrong.sum()} such pixels)"
-            )
+        edges = as_tdc_edges("Spad.tdc_edges_s", given)
         object.__setattr__(self, "tdc_edges_s", tuple(tuple(row) for row in edges.tolist()))
 
     @property

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled, subroutine
 from datagen.detector.flux import Cycle, uniform_of_pixels
 from datagen.detector.random_numbers import Stream, binomial
-from datagen.detector.spad import TDC_PERIOD_ACCURACY, Spad
+from datagen.detector.spad import Spad
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import TDC_PERIOD_ACCURACY
 
 PIECES = 8
 """Pieces of a bin, within which detections are taken as uniform. Of a bin with λ events per cycle at most the share

@@ -293,6 +293,7 @@ class _Fit:
             "boxes": tuple(_rounded(box, 4) for box in shape.boxes), "field_deg": None, "map": None,
             "blur": round(shape.blur, 5), "gains": _rounded(gains / top), "glass": _rounded(glass),
             "delays_ps": _rounded((shape.zero_bins - zero) * width_ps, 4),
+            "dark_count_factors": _rounded(self.floor / self.floor.mean(), 4) if self.floor.any() else (),
         })  # fmt: skip
         counting = nominal.counting.model_copy(update={
             "cycles": round(self.cycles), "photons_per_pulse": float(f"{photons:.5g}"), "ambient_rate_hz": 0.0,
@@ -304,7 +305,7 @@ class _Fit:
             "fwhm_ps": None, "samples": _rounded(self.pulse / self.pulse.max(), 4),
             "sample_ps": round(width_ps / SUBSTEPS, 5), "start_ps": round(start_ps, 3),
         })  # fmt: skip
-        of_zones = [f"zones.{key}" for key in ("boxes", "blur", "gains", "glass", "delays_ps")]
+        of_zones = [f"zones.{key}" for key in ("boxes", "blur", "gains", "glass", "delays_ps", "dark_count_factors")]
         of_time = ["time.bin_width_ps", "time.zero_bin", "pulse"]
         of_counting = ["counting.cycles", "counting.dark_count_rate_hz"]
         sources = nominal.sources | dict.fromkeys([*of_zones, *of_time, *of_counting], source)

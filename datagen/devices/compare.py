@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from datagen.config.device import device_names
 from datagen.detector import expected_histogram
+from datagen.detector.flux import dark_count_rates
 from datagen.devices.calibrate import (
     Fitted,
     HistogramErrors,
@@ -401,11 +402,12 @@ class _Session:
         *parts, glass = self.events(state, frames)
         events = unsaturated(counts, device_.counting.cycles, blind_periods(device_)) - glass
         weight = 1 / np.linalg.norm(events, axis=2, keepdims=True)
-        columns = [(part * weight).ravel() for part in parts] + [np.broadcast_to(weight, events.shape).ravel()]
+        floors = dark_count_rates(replace(device_.spad, dark_count_rate_hz=1.0), events.shape[1])[:, None]
+        columns = [(part * weight).ravel() for part in parts] + [(floors * np.ones_like(events) * weight).ravel()]
         design = np.stack(columns, axis=1)
         scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
         found = scipy.optimize.nnls(design / scale, (events * weight).ravel())[0] / scale
-        modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(parts)) + found[-1] + glass
+        modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(parts)) + found[-1] * floors + glass
         return found, modelled, design, (events * weight).ravel() - design @ found
 
     def linear(self, state: _State, frames: Ints) -> tuple[Floats, float, Floats]:

@@ -265,7 +265,7 @@ DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
         lambda d: d.with_spad(gate_start_s=None, gate_width_s=None, gate_rise_s=0.0),
     ),
     Effect(
-        "tdc_nonlinearity", "TDC nonlinearity", "detector", "`detector.tdc_dnl` > 0",
+        "tdc_nonlinearity", "TDC nonlinearity", "detector", "`detector.tdc_dnl` > 0 or `.tdc_edges_ps`",
         "Records sorted by the edges of the TDC's bins: `detector/tdc_bins.py`; ‖A − 1‖² ≤ ‖A − 1‖₁ ‖A − 1‖_∞",
         0.4, lambda d: not d.spad.tdc_bins_are_equal, _unequal_bins,
         lambda d: d.with_spad(tdc_dnl=0.0, tdc_edges_s=None),

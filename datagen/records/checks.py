@@ -12,6 +12,9 @@ from datagen.records.arrays import Floats
 
 LONGEST_SHOWN = 60
 """Most characters of a value in an error message; with half as many a short list would be shown as its type."""
+TDC_PERIOD_ACCURACY = 1e-5
+"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables. Halved,
+a bin of 2.5 ns / 140 that is written as 17.857 ps is refused."""
 
 
 def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:
@@ -155,3 +158,30 @@ def check_places(name: str, points: Floats) -> None:
     largest = float(np.abs(points).max(initial=0.0))
     if largest > FARTHEST_M:
         raise InputError(f"{name}: a coordinate of {largest:.3g} m; at most {FARTHEST_M:g} m are handled")
+
+
+def as_tdc_edges(name: str, value: ArrayLike) -> Floats:
+    """Edges (pixel, edge) of a TDC's bins over one period, from (pixel, edge) or (edge,) for all pixels alike.
+
+    Raises `InputError` for what is no such table, and for edges that do not start at 0, descend, or end at different
+    times.
+    """
+    edges = as_reals(name, value)
+    if edges.ndim not in (1, 2) or edges.shape[-1] < 2 or edges.size == 0:
+        raise InputError(
+            f"{name}: shape {edges.shape} given; (pixel, edge) or (edge,) is needed, with one edge more than the "
+            "period has bins"
+        )
+    edges = np.atleast_2d(edges)
+    lengths = edges[:, -1]
+    with np.errstate(invalid="ignore"):
+        wrong = ~(np.isfinite(edges).all(axis=1) & (edges[:, 0] == 0) & (np.diff(edges) >= 0).all(axis=1))
+        wrong |= ~((lengths > 0) & (np.abs(lengths - lengths[0]) <= TDC_PERIOD_ACCURACY * lengths[0]))
+    if wrong.any():
+        pixel = int(wrong.argmax())
+        first, second, last = edges[pixel][[0, 1, -1]]
+        raise InputError(
+            f"{name}[{pixel}] = ({first:g}, {second:g}, …, {last:g}): edges must start at 0 and never descend, and "
+            f"those of all pixels must end at the same time; correct them ({wrong.sum()} such pixels)"
+        )
+    return edges

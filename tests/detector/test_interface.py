@@ -93,6 +93,11 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
         ),
         (lambda: Spad(tdc_dnl=2.5), ["Spad.tdc_dnl", "2.5", "0 … 2"]),
         (lambda: Spad(tdc_period_bins=7), ["Spad.tdc_period_bins", "7", "8 … 65536"]),
+        (lambda: Spad(dark_count_factors=(1.0, -1.0)), ["Spad.dark_count_factors", "negative"]),
+        (
+            lambda: detect(BLOCK[:, :2], TIME, Spad(dark_count_factors=(1, 2, 3)), EXPOSURE, first_pixel=2),
+            ["dark_count_factors", "3 numbers", "2 … 3"],
+        ),
         (lambda: Spad(tdc_seed=-1), ["Spad.tdc_seed", "0 …"]),
         (lambda: Spad(tdc_edges_s=(0, 1e-9), tdc_dnl=0.1), ["tdc_dnl", "tdc_edges_s", "leave one out"]),
         (lambda: Spad(tdc_edges_s=(0.0,)), ["tdc_edges_s", "shape (1,)", "(pixel, edge)"]),

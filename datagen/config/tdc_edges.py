@@ -1,0 +1,70 @@
+"""The key `detector.tdc_edges_ps`: measured edges of a TDC's bins, as numbers or from a file."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, ValidationInfo
+
+from datagen.config.scene_contents import resolved
+from datagen.errors import InputError
+from datagen.records.arrays import Floats
+from datagen.records.checks import as_tdc_edges
+
+SUFFIXES = (".csv", ".csv.gz", ".npz")
+DECIMALS = 3
+"""Of a picosecond, to which edges from a file are rounded. With half as many edges are known to 50 fs; with all that
+a file may have, a stored configuration is two and a half times as long."""
+
+Edges = tuple[tuple[float, ...], ...]
+
+
+def read_tdc_edges(path: Path) -> Edges:
+    """(pixel, edge) picoseconds from a file.
+
+    path : .csv (also .gz), a row for each pixel. A table with a head and a column of numbers before it, as the
+        calibrations of LinoSPAD2 are, has for each code the time at which it ends; rows without numbers are TDCs that
+        were not calibrated, and are left out. A table of numbers alone has all edges, the first one 0. Or .npz with
+        `edges_ps` (pixel, edge) or (edge,).
+
+    Raises `InputError` for a file that is missing or holds no such edges.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; paths start at the configuration's folder")
+    if not path.name.endswith(SUFFIXES):
+        raise InputError(f"{path}: its suffix says no table of edges; they are {', '.join(SUFFIXES)}")
+    try:
+        given = _npz(path) if path.suffix == ".npz" else _csv(path)
+    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: holds no edges of a TDC ({error})") from None
+    edges = np.round(as_tdc_edges(str(path), given), DECIMALS)
+    return tuple(tuple(row) for row in edges.tolist())
+
+
+def _npz(path: Path) -> Floats:
+    with path.open("rb") as opened, np.load(opened) as file:
+        return np.asarray(file["edges_ps"], np.float64)
+
+
+def _csv(path: Path) -> list[list[float]]:
+    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+        rows = [row for row in csv.reader(file) if row]
+    if rows and not rows[0][0].strip():
+        return [[0.0, *map(float, row[1:])] for row in rows[1:] if any(row[1:])]
+    return [list(map(float, row)) for row in rows]
+
+
+def _measured(value: Any, info: ValidationInfo) -> Any:
+    """Edges of a file's path or of numbers, which a dataset stores."""
+    if isinstance(value, str):
+        return read_tdc_edges(resolved(value, info))
+    return tuple(tuple(row) for row in as_tdc_edges("edges", value).tolist())
+
+
+MeasuredEdges = Annotated[Edges, BeforeValidator(_measured, json_schema_input_type=str | Edges | tuple[float, ...])]
