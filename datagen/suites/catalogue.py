@@ -66,7 +66,9 @@ def find_suite(name: str) -> Suite:
     """The suite of a name. Raises `InputError` for an unknown name."""
     if name not in SUITES:
         hint = near_hint(name, SUITES, 0.4)
-        raise InputError(f"NAME = {name!r}: no such suite; {hint}There are {', '.join(SUITES)}")
+        raise InputError(
+            f"NAME = {name!r}: no such suite; {hint}{'There' if hint else 'there'} are {', '.join(SUITES)}"
+        )
     return SUITES[name]
 
 
