@@ -35,19 +35,32 @@ def _drop_stale_kernels() -> None:
 
 _drop_stale_kernels()
 
-FIRST = [f"{name}.py" for name in (
-    "physics/test_accuracy_target", "detector/test_laws", "detector/test_samplers", "detector/test_numerics",
-    "detector/test_interface", "detector/test_tdc_bins", "store/test_object_stores", "report/test_show_pictures",
-    "store/test_build", "scene/test_rooms", "export/test_imports", "store/test_kills", "store/test_partial_reads",
-    "store/test_trust", "reconstruction/test_nlos_real_training", "store/test_fresh_noise", "scene/test_meshes",
-    "equivalence/test_secondary_cells", "equivalence/test_cells_and_walk", "equivalence/test_secondary",
-    "evidence/test_presence", "capture/test_configs_built", "physics/test_primary_truths", "effects/test_switchboard",
-    "physics/test_all_bounces", "report/test_datasets_shown", "report/test_reproduce",
-)]  # fmt: skip
+FIRST = (
+    "equivalence/test_secondary.py",
+    "detector/test_laws.py",
+    "detector/test_samplers.py",
+    "detector/test_numerics.py",
+    "detector/test_interface.py",
+    "physics/test_accuracy_target.py",
+    "store/test_object_stores.py",
+    "report/test_show_pictures.py",
+    "store/test_build.py",
+    "scene/test_rooms.py",
+    "export/test_imports.py",
+    "store/test_kills.py",
+    "equivalence/test_cells_and_walk.py",
+    "equivalence/test_secondary_cells.py",
+    "evidence/test_presence.py",
+    "capture/test_configs_built.py",
+    "physics/test_primary_truths.py",
+    "effects/test_switchboard.py",
+    "physics/test_all_bounces.py",
+    "report/test_datasets_shown.py",
+    "report/test_reproduce.py",
+)
 """A file goes to one process as a whole, in this order. While one process compiles the transport's kernels, the other
 has files that need none of them: it compiles those of the detector, then draws rooms and pictures and stores what is
-made up, and need not wait. If it came to the transport too early, both would compile the same. A long file begun last
-would leave the other process idle.
+made up, and need not wait. A long file begun last would leave the other process idle.
 """
 
 

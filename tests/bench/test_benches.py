@@ -176,6 +176,30 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
     assert np.allclose(few.sensor.pixels.mean(axis=1), few.laser.targets)
 
 
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["accuracy", "CONFIG", "OUT", "--scene", "8"], "--scene 8"),
+        (["accuracy", "CONFIG", "OUT", "--seconds", "0"], "--seconds 0"),
+        (["accuracy", "CONFIG", "OUT", "--repeats", "1"], "repeats"),
+        (["accuracy", "CONFIG", "OUT", "--laser-points", "0"], "laser-points"),
+        (["accuracy", "CONFIG", "CONFIG"], "tiny.yaml"),
+        (["accuracy", "none.yaml", "OUT"], "none.yaml"),
+        (["stages", "CONFIG", "--workers", "two"], "--workers two"),
+        (["stages", "CONFIG", "--scan", "64x64"], "--scan 64x64"),
+        (["peers", "OUT", "--only", "nothing"], "--only nothing"),
+        (["paeers"], "paeers"),
+    ],
+)
+def test_bad_input_is_one_line(
+    options: list[str], word: str, config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named = {"CONFIG": config, "OUT": str(tmp_path / "out")}
+    assert run(["bench", *(named.get(option, option) for option in options)]) == 2
+    err = capsys.readouterr().err
+    assert word in err and err.count("\n") == 1 and not (tmp_path / "out").exists()
+
+
 @pytest.mark.filterwarnings("ignore:simulate. all light arrives outside:datagen.InputWarning")
 def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path(config).write_text(CONFIG.replace("bins: 108, bin_width_ps: 800", "bins: 4, bin_width_ps: 1"))

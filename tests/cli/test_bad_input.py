@@ -69,6 +69,12 @@ def test_configurations(here: Path, capsys: pytest.CaptureFixture[str], text: st
         assert piece in line
 
 
+def test_a_room_that_no_draw_can_meet(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    boxes = ", ".join(["{kind: box, width_m: 1.2, depth_m: 1.2, height_m: 1}"] * 12)
+    Path("bad.yaml").write_text(f"scene: {{max_attempts: 3, contents: [{boxes}]}}")
+    assert "scene" in refused(capsys, "build", "bad.yaml", "out/set")
+
+
 @pytest.mark.parametrize(
     ("arguments", "piece"),
     [
@@ -87,22 +93,6 @@ def test_configurations(here: Path, capsys: pytest.CaptureFixture[str], text: st
         (["sheet", "out.png"], "missing argument"),
         (["build", "config.yaml", "out", "--shards", "7"], "--shards 7"),
         (["build", "config.yaml", "out", "--engine", "spark"], "--engine spark: must be local or dask"),
-        (["build", "config.yaml", "out", "--scheduler", "tcp://host:1"], "only --engine dask has a scheduler"),
-        (["plan", "config.yaml", "--workers", "0"], "--workers 0"),
-        (["plan", "config.yaml", "--seconds", "0"], "--seconds 0"),
-        (["plan", "config.yaml", "--seconds", "nan"], "--seconds nan"),
-        (["plan", "config.yaml", "--json", "nowhere/plan.json"], "no folder nowhere"),
-        (["plan", "config.yaml", "--json", "."], "is a folder"),
-        (["plan", "config.yaml", "--against", "nowhere"], "no such dataset"),
-        (["bench", "accuracy", "config.yaml", "out", "--scene", "8"], "--scene 8"),
-        (["bench", "accuracy", "config.yaml", "out", "--seconds", "0"], "--seconds 0"),
-        (["bench", "accuracy", "config.yaml", "out", "--repeats", "1"], "repeats"),
-        (["bench", "accuracy", "config.yaml", "out", "--laser-points", "0"], "laser-points"),
-        (["bench", "accuracy", "config.yaml", "config.yaml"], "config.yaml"),
-        (["bench", "stages", "config.yaml", "--workers", "two"], "--workers two"),
-        (["bench", "stages", "config.yaml", "--scan", "64x64"], "--scan 64x64"),
-        (["bench", "peers", "out", "--only", "nothing"], "--only nothing"),
-        (["bench", "paeers"], "paeers"),
         (["build", "config.yaml", "config.yaml"], "is a file, not a folder"),
         (["build", "config.yaml", "/proc/set"], "cannot be written"),
         (["build", "config.yaml", "."], "no dataset.json"),

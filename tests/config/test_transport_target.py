@@ -27,6 +27,14 @@ def configured(**transport: object) -> DatasetConfig:
     return config_from_mapping({**SMALL, "transport": transport})
 
 
+@pytest.mark.parametrize("name", ["lookins", "fov_samples", "replicates", "observed"])
+def test_counts_beside_a_target_are_refused_even_at_their_defaults(name: str) -> None:
+    with pytest.raises(InputError, match=name) as error:
+        configured(target=0.1, **{name: 64})
+    assert "target" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.parametrize("value", [0.0, 2, -0.1, "fine"])
 def test_impossible_targets_are_refused(value: object) -> None:
     with pytest.raises(InputError, match=r"transport\.target"):

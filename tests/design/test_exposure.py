@@ -91,6 +91,14 @@ def test_a_dataset_holds_plain_cycles_and_its_own_configuration_builds_it_again(
         dg.build(measurement({"cycles": 77}), tmp_path / "a", progress=False)
 
 
+def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path) -> None:
+    config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
+    dg.build(config, tmp_path / "a", progress=False)
+    data = dg.TransientDataset(tmp_path / "a", ("histogram",))
+    for stored, made in zip(data, dg.GeneratedDataset(config, ("histogram",)), strict=True):
+        assert (stored["histogram"] == made["histogram"]).all()
+
+
 def test_the_contact_sheet_finds_the_exposure_first() -> None:
     config = measurement({"exposure_for": {"evidence": 5}}, [{"kind": "box", "evidence_at_least": 4}])
     ((found, _),) = first_scenes([config], 1)

@@ -37,6 +37,15 @@ def mean_is(samples, expected, what: str) -> None:
     accept(_hotelling(samples[:, spread] - np.asarray(expected)[spread]), f"{what}: exact mean")
 
 
+def poisson_like_chi2(counts, mean, trials: int) -> float:
+    """p-value of Σ (n − m)² / (m (1 − m / trials)) for single counts of independent trials, bins with m ≥ 10."""
+    use = (mean >= 10) & (mean <= trials - 10)
+    chi2 = float(np.sum((counts[use] - mean[use]) ** 2 / (mean[use] * (1 - mean[use] / trials))))
+    # Two-sided: too good a fit betrays a wrong variance.
+    law = scipy.stats.chi2(int(use.sum()))
+    return 2 * min(law.sf(chi2), law.cdf(chi2))
+
+
 def _homogeneous(x, y) -> float:
     """χ² test that two samples of counts come from one law; values are pooled into classes of at least ten."""
     values = np.sort(np.concatenate([x, y]))

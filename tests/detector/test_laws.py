@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2, norm
-from statistics_kit import accept, mean_is
+from statistics_kit import accept, mean_is, poisson_like_chi2
 
 from datagen.detector import (
     Exposure,
@@ -173,3 +173,12 @@ def test_self_consistent_mean_is_the_same_however_much_darkness_is_recorded(mode
     short = expected_histogram(lam, TIME, spad, exposure, approximate=True)
     whole = expected_histogram(longer, replace(TIME, bins=8 * TIME.bins), spad, exposure, approximate=True)
     assert np.linalg.norm(short - whole[..., : TIME.bins]) < 2e-5 * np.linalg.norm(short)
+
+
+def test_large_exposure_fits_its_mean_bin_by_bin():
+    lam, cycles = signal(1.0), 10**10
+    exposure = Exposure(1 / PERIOD, cycles, 1.0)
+    for dead_time in (17.3e-9, 1e-6):
+        spad = Spad(pde=1.0, dead_time_s=dead_time, mode="synchronous")
+        counts = detect(lam, TIME, spad, exposure, seed=1)
+        accept(poisson_like_chi2(counts, expected_histogram(lam, TIME, spad, exposure), cycles), f"τ = {dead_time}")

@@ -14,6 +14,7 @@ from statistics_kit import accept
 from datagen.detector import Exposure, Spad, detect, expected_histogram
 from datagen.detector.chain import draw_hazard_chain
 from datagen.detector.dead_time import equilibrium, synchronous_mean
+from datagen.detector.events import draw_free_running
 from datagen.detector.flux import cycle_of
 from datagen.detector.irf import response_cdf, response_kernel, spread
 from datagen.detector.random_numbers import binomial, streams_of
@@ -96,6 +97,12 @@ def test_exponential_tail_against_high_precision(ratio):
         assert got == pytest.approx(truth, rel=1e-7, abs=1e-13)
 
 
+def test_mean_delay_of_the_response_is_that_of_the_tail():
+    kernel = response_kernel(1e-11, 8e-11, 2e-10, 0.3)
+    delay = 1e-11 * (kernel.weights @ (np.arange(len(kernel.weights)) - kernel.before))
+    assert delay == pytest.approx(0.3 * 2e-10, rel=1e-4)
+
+
 def test_response_beyond_the_window_is_lost_when_the_period_is_long():
     transient = np.zeros(100)
     transient[99] = 1e-3
@@ -114,6 +121,21 @@ def test_without_light_there_are_no_counts_and_no_warnings(mode):
     assert counts.sum() == 0 == mean.sum()
 
 
+def test_flux_of_ten_thousand_per_cycle():
+    """Free running at λ τ ≫ 1: counts are nearly regular, and the mean of a long run agrees with the solver."""
+    lam = np.random.default_rng(0).random(100) ** 3
+    lam *= 1e4 / lam.sum()
+    edges = np.linspace(0, 1e-7, 101)
+    for tau in (33.337e-9, 250e-9):
+        state = equilibrium(lam, edges, 1e-9, tau)
+        total = 1e4 / (1 + 1e4 * tau / 1e-7)
+        assert state.mean.sum() == pytest.approx(total, rel=2e-3)
+        spad = Spad(dead_time_s=tau)
+        cycle = cycle_of(TIME, spad, Exposure(1e7))
+        counts = draw_free_running(lam, cycle, spad, 10**4, state, streams_of(1, 0, 0)[0])
+        assert counts.sum() == pytest.approx(1e4 * total, rel=2e-3)
+
+
 def test_two_thousand_photons_in_a_paralyzable_dead_time():
     """Bin 0 counts its first photon; in bin 1 the exponent falls from a to b: b times the mean of e^−y, y = a … b."""
     a, b = 2000.0, 1e-3
@@ -122,6 +144,19 @@ def test_two_thousand_photons_in_a_paralyzable_dead_time():
     lam[:2] = a, b
     mean = expected_histogram(lam, TIME, spad, Exposure(1e6, 1000, 1.0))
     assert mean[:2] == pytest.approx([1000.0, 1000.0 * b * (np.exp(-b) - np.exp(-a)) / (a - b)], rel=1e-12)
+
+
+def test_empty_bins_are_never_hit():
+    lam = np.zeros(100)
+    lam[[7, 8, 60]] = 0.5, 1e-9, 0.3
+    edges = np.linspace(0, 1e-7, 101)
+    for tau in (1e-9, 50e-9, 3e-7):
+        state = equilibrium(lam, edges, 1e-9, tau)
+        spad = Spad(dead_time_s=tau)
+        cycle = cycle_of(TIME, spad, Exposure(1e7))
+        counts = draw_free_running(lam, cycle, spad, 200_000, state, streams_of(4, 0, 0)[0])
+        assert counts[lam == 0].sum() == 0
+        assert counts[7] > 0 and counts[60] > 0
 
 
 def test_saturating_counters():

@@ -25,6 +25,8 @@ try:
 finally:
     sys.path.remove(str(SCRIPT.parent))
 DEVICE = dg.device("tmf8820")
+RIGHT, LEFT = 7, 1
+"""Zones in the middle of the right and of the left column of the sensor's histograms."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -35,6 +37,24 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
+def mean_bins(light: np.ndarray) -> np.ndarray:
+    """(zones,) mean arrival time."""
+    return light @ np.arange(light.shape[1]) / light.sum(axis=1)
+
+
+def test_a_plane_that_leans_to_the_right_is_farther_there() -> None:
+    bare = made["bare"](DEVICE)
+    boxes = np.array(bare.zones.boxes)
+    facing, right, up = (mean_bins(made["light_of"](bare, (0.3, *tilt))) for tilt in ((0, 0), (20, 0), (0, 20)))
+    assert boxes[RIGHT, 0] > 0 > boxes[LEFT, 0]
+    # Path of the middle of a zone at the tangent u: z / (1 − u tan 20°) instead of z, less what leans to its edges.
+    for zone in (LEFT, RIGHT):
+        bins = 0.6 / 299_792_458.0 / DEVICE.axis.width_s * (1 / (1 - boxes[zone, 0] * np.tan(np.radians(20))) - 1)
+        assert right[zone] - facing[zone] == pytest.approx(bins, rel=0.15)
+    top, bottom = int(boxes[3:6, 1].argmax()) + 3, int(boxes[3:6, 1].argmin()) + 3
+    assert up[top] > facing[top] and up[bottom] < facing[bottom]
+
+
 def test_counts_are_those_of_the_plane_and_the_glass() -> None:
     """Crosstalk, delays and cover glass are added to the bare device's light as the simulation adds them."""
     whole, light = (made["light_of"](of, (0.3, 0, 0)) for of in (DEVICE, made["bare"](DEVICE)))
@@ -42,6 +62,26 @@ def test_counts_are_those_of_the_plane_and_the_glass() -> None:
     counts = made["counts_of"](DEVICE, glass, np.array([1.0]), light)
     exact = dg.expected_histogram(whole[None], DEVICE.axis, DEVICE.spad, DEVICE.exposure)
     np.testing.assert_allclose(counts, exact, rtol=1e-4, atol=1e-2)
+
+
+def test_each_effect_that_is_left_out_changes_what_it_is_named_after() -> None:
+    without = {name: leave(DEVICE) for name, leave in made["LEFT_OUT"].items()}
+    assert without["nothing"] == DEVICE
+    pulse = np.array(without["the pulse's tail"].pulse.samples)
+    measured = np.array(DEVICE.pulse.samples)
+    # As wide at half of the maximum, and without what the measured pulse has 40 samples after its peak.
+    assert abs((pulse > 0.5).sum() - (measured > 0.5).sum()) <= 1
+    assert pulse[50] < 1e-6 < 0.01 < measured[50]
+    light = made["light_of"](made["bare"](DEVICE), (0.3, 0, 0))
+    counts = {
+        name: made["counts_of"](of, np.zeros_like(light), np.ones(1), light)[0].sum()
+        for name, of in without.items()
+        if name in ("nothing", "pile-up", "floor")
+    }
+    assert counts["pile-up"] > 1.02 * counts["nothing"] > 1.02 * counts["floor"]
+    bare = made["bare"](without["footprints (data sheet's boxes)"])
+    other = made["light_of"](bare, (0.3, 0, 0))
+    np.testing.assert_allclose(other.sum(axis=1), light.sum(axis=1), rtol=0.05)
 
 
 def test_a_network_learns_the_distance_of_simulated_planes() -> None:

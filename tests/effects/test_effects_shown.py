@@ -8,6 +8,7 @@ import pytest
 
 from datagen.building.build import build
 from datagen.config import config_from_mapping
+from datagen.report.replay import read_scene, replay
 from datagen.store.info import info
 
 
@@ -36,3 +37,9 @@ def test_info_counts_scenes_by_decision(dataset: Path) -> None:
     assert lines["timing_response"][:2] == ["0", "1"] and float(lines["timing_response"][2]) <= 0.01
     assert "higher_bounces" not in lines
     assert "effects" in lines
+
+
+def test_replay_leaves_out_the_same_effects(dataset: Path) -> None:
+    again = replay(read_scene(dataset, 0))
+    assert again.reproduced
+    assert set(again.transient.components) == {"direct", "primary"}

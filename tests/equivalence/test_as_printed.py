@@ -255,6 +255,17 @@ def energies(transient: dg.records.Transient) -> tuple[float, float]:
     return float(transient.components["primary"].sum()), float(transient.components["secondary"].sum())
 
 
+def test_levels_carry_a_unit_of_length(room: tuple[dg.Scene, dg.Capture]) -> None:
+    """Eq. 6 has three factors 1/R² and one aperture, Eq. 8 four and one: L_p scales as unit⁴, L_s as unit⁶, L_s/L_p
+    as unit²."""
+    (p_mm, s_mm), (p_m, s_m) = (
+        energies(dg.simulate_as_printed(*room, dg.AsPrinted(5, 12, unit))) for unit in (1e-3, 1.0)
+    )
+    assert p_m / p_mm == pytest.approx(1e12, rel=1e-9)
+    assert s_m / s_mm == pytest.approx(1e18, rel=1e-9)
+    assert (s_m / p_m) / (s_mm / p_mm) == pytest.approx(1e6, rel=1e-9)
+
+
 def test_levels_depend_on_the_number_of_rays_where_radiometric_ones_do_not(room: tuple[dg.Scene, dg.Capture]) -> None:
     """As printed, the primary keeps its level because each α is a fraction of the light; the secondary's products of
     1/R² are unbounded towards corners, and more rays come nearer to these.
@@ -277,6 +288,29 @@ def test_levels_depend_on_the_number_of_rays_where_radiometric_ones_do_not(room:
     assert (error < 0.1 * mean).all()
 
 
+def test_a_per_lookin_alpha_makes_the_secondary_grow_with_the_number_of_lookins(
+    room: tuple[dg.Scene, dg.Capture],
+) -> None:
+    """With α for each hidden vertex, every one of N hidden vertices receives all of the laser's light; with α over
+    the room they share it, so the ratio is about N."""
+    for n in (5, 10):
+        one, other = (
+            energies(dg.simulate_as_printed(*room, dg.AsPrinted(n, 12, conserved=c)))[1] for c in ("lookin", "room")
+        )
+        assert one / other == pytest.approx(n * n, rel=0.5)
+
+
+def test_the_strongest_path_is_one_of_all(room: tuple[dg.Scene, dg.Capture]) -> None:
+    full, one, none = (
+        dg.simulate_as_printed(*room, dg.AsPrinted(6, 12, secondary=kind)) for kind in ("all", "strongest", "none")
+    )
+    np.testing.assert_array_equal(full.components["primary"], one.components["primary"])
+    np.testing.assert_array_equal(full.components["primary"], none.components["primary"])
+    assert "secondary" not in none.components
+    assert (one.components["secondary"] <= full.components["secondary"] * (1 + 1e-12)).all()
+    assert 0 < one.components["secondary"].sum() < 0.2 * full.components["secondary"].sum()
+
+
 def test_nothing_met_gives_nothing() -> None:
     scene = furnished_box()
     away = dg.Capture(
@@ -286,6 +320,30 @@ def test_nothing_met_gives_nothing() -> None:
     )
     result = dg.simulate_as_printed(scene, away, dg.AsPrinted(3, 4))
     assert not result.total.any() and not result.overflow.any()
+
+
+def test_light_beyond_the_window_is_tallied(room: tuple[dg.Scene, dg.Capture]) -> None:
+    scene, capture = room
+    settings = dg.AsPrinted(6, 12)
+    whole = dg.simulate_as_printed(scene, capture, settings)
+    short = dg.simulate_as_printed(scene, replace(capture, time=bins_of_path(30, 0.1, 0.0)), settings)
+    assert short.overflow[0, 0] > 0.1 * whole.total.sum()
+    assert short.total.sum() + short.overflow.sum() == pytest.approx(
+        whole.total.sum() + whole.overflow.sum(), rel=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("rays", 0), ("rays", 2.5), ("rays", True), ("pixels", 6), ("pixels", -4), ("unit_m", 0.0),
+        ("unit_m", "mm"), ("unit_m", math.nan), ("secondary", "some"), ("grid", "sobol"), ("conserved", "none"),
+    ],
+)  # fmt: skip
+def test_wrong_settings_are_told_in_one_line(key: str, value: object) -> None:
+    with pytest.raises(InputError, match=rf"AsPrinted\.{key} = ") as told:
+        dg.AsPrinted(**{key: value})  # type: ignore[arg-type]
+    assert "\n" not in str(told.value)
 
 
 def test_other_brdfs_are_refused(room: tuple[dg.Scene, dg.Capture]) -> None:

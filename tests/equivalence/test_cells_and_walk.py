@@ -67,16 +67,17 @@ def several(pairing: str, half_side_m: float = 0.05, origin: str = "wall") -> Ca
     return Capture(Laser(DEVICE, lasers), Sensor(DEVICE, pixels), replace(TIME, origin=origin), pairing)  # type: ignore[arg-type]
 
 
-def test_a_scan_whose_time_counts_from_the_source() -> None:
-    same_light(furnished_box(), several("confocal", origin="source"))
+@pytest.mark.parametrize(("pairing", "origin"), [("confocal", "source"), ("exhaustive", "wall")])
+def test_scans(pairing: str, origin: str) -> None:
+    same_light(furnished_box(), several(pairing, origin=origin))
 
 
 @pytest.mark.parametrize(
     ("y", "half_side_m"),
-    [(0.2, 1.0), (1.43, 0.2), (1.475, 0.025)],
-    ids=["2 m", "on two walls", "at a wall's foot"],
+    [(0.2, 5e-4), (0.2, 0.2), (0.2, 1.0), (1.43, 0.2), (1.475, 0.025)],
+    ids=["1 mm", "0.4 m", "2 m", "on two walls", "at a wall's foot"],
 )
-def test_pixels_on_several_walls(y: float, half_side_m: float) -> None:
+def test_pixels_of_every_size_and_place(y: float, half_side_m: float) -> None:
     same_light(furnished_box(), one_point_capture((0, -0.3, 1.1), (0, y, 1.2), half_side_m, TIME))
 
 
@@ -97,18 +98,19 @@ def bumpy(seed: int = 3) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.stack([out, y, z + 1], axis=1), np.concatenate([np.stack(f, axis=1) for f in faces]))
 
 
-def test_an_uneven_relay_wall() -> None:
+@pytest.mark.parametrize("half_side_m", [0.02, 0.2])
+def test_an_uneven_relay_wall(half_side_m: float) -> None:
     box = trimesh.creation.box(bounds=[(1.2, -0.3, 0.7), (1.8, 0.3, 1.3)])
     scene = Scene.from_parts(
         [Part("wall", bumpy(), Lambertian(0.8), "relay_wall"), Part("box", box, Lambertian(0.6))]
     )
-    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 0.4, 1.0), 0.2, TIME, (0.4, 0.1, 1.9)))
+    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 0.4, 1.0), half_side_m, TIME, (0.4, 0.1, 1.9)))
 
 
 def test_attenuation_and_windows() -> None:
     foggy = replace(furnished_box(), attenuation_per_m=0.4)
     capture = several("exhaustive")
-    for start, bins in ((3.03, 64), (5.5, 8)):
+    for start, bins in ((0.0, 160), (3.03, 64), (0.0, 40), (5.5, 8)):
         same_light(foggy, replace(capture, time=bins_of_path(bins, 0.1, start)))
 
 

@@ -44,7 +44,7 @@ def _run(pairing: str, bounces: int | None, together: int, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("pairing", ["confocal", "exhaustive"])
-@pytest.mark.parametrize("bounces", [5, None])
+@pytest.mark.parametrize("bounces", [3, 5, None])
 def test_together_or_one_by_one(pairing: str, bounces: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """All replicates at once, in threes, and one by one, of 4 laser points and 12 hidden vertices; and 90 hidden
     vertices, which 8 does not divide."""

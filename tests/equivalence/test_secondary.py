@@ -7,12 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rooms import furnished_box, one_point_capture
+from rooms import bins_of_path, furnished_box, one_point_capture
 from scipy import stats
+from sphere_chords import QUAD, SPOT, WIDTH_M, stored, unit_ball
 
-from datagen import Accuracy, Capture, Scene
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.factorised import secondary
 from datagen.transport.factorised.convolution import SUB_BINS, Paths, Sums, convolve, double_sum, keep_strongest
+from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.simulate import prepared
 
 
@@ -84,6 +86,26 @@ def test_pairs_near_an_edge_are_shared_by_its_two_sides_linearly(after_edge: flo
     convolve(into, out, u, sums)
     behind = min(max(0.5 + after_edge, 0.0), 1.0)
     np.testing.assert_allclose(sums.transient[0, 5:7] / count, [1.0 - behind, behind], atol=1.5 / count)
+
+
+def in_a_ball(albedo: float) -> tuple[Scene, Capture, float]:
+    scene = Scene.from_parts([Part("sphere", unit_ball(5), Lambertian(albedo), "structure")])
+    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(60, WIDTH_M, 0.0))
+    omega = PixelCones.of(capture.sensor).solid_angle[0]
+    return scene, capture, albedo**4 / np.pi * np.pi * 0.02**2 * omega / (4 * np.pi)
+
+
+def test_inside_of_a_sphere_shape() -> None:
+    """Arrival times are distributed as three chords between uniform points: 16 runs, Student's t, family-wise level
+    10⁻³ over the bins."""
+    scene, capture, expected = in_a_ball(0.8)
+    runs = np.array([secondary_of(scene, capture, lookins=512, seed=s).mean[0, 0] for s in range(16)])
+    truth, truth_error = (expected * values[:60] for values in stored().of(4))
+    mean, error = runs.mean(axis=0), runs.std(axis=0, ddof=1) / 4
+    filled = truth > 1e-3 * truth.max()
+    error = np.hypot(error, truth_error)
+    t = np.abs(mean - truth)[filled] / error[filled]
+    assert t.max() < stats.t.ppf(1 - 0.5e-3 / filled.sum(), 15)
 
 
 def test_one_sample_is_unbiased_and_bounded() -> None:

@@ -187,6 +187,31 @@ def test_what_touches_is_claimed_as_far_as_it_is_not_known() -> None:
         assert low <= found.error / np.linalg.norm(found.histogram) < high
 
 
+def test_light_goes_either_way() -> None:
+    """Reciprocity: laser point and pixel change places, and each energy is divided by the gain of its pixel."""
+    a, b, h = SPOTS[0], SPOTS[2], 5e-4
+    found = []
+    for laser, pixel in ((a, b), (b, a)):
+        capture = Capture(Laser(DEVICE, [laser]), Sensor(DEVICE, square_pixels([pixel], h)), TIME)
+        d = np.array(DEVICE) - pixel
+        worth = PixelCones.of(capture.sensor).solid_angle[0]
+        assert d[0] > 0
+        found.append(of_cells(furnished_box(), capture, own=0.03).histogram[0, 0] / worth)
+    assert np.linalg.norm(found[0] - found[1]) < 0.03 * np.linalg.norm(found[0])
+    assert found[0].sum() == pytest.approx(found[1].sum(), rel=0.01)
+
+
+def test_confocal_halves_are_the_whole() -> None:
+    """Where a laser point is its own pixel each pair of elements is computed once. With the sensor elsewhere, or with
+    another pairing, both ends have elements of their own, and the light is the same."""
+    confocal, alone = scan("confocal", 5e-4), []
+    together = of_cells(furnished_box(), confocal, own=0.03)
+    for k, spot in enumerate(SPOTS):
+        one = Capture(Laser(DEVICE, [spot]), Sensor(DEVICE, square_pixels([spot], 5e-4)), TIME)
+        alone.append(of_cells(furnished_box(), one, own=0.03).histogram[0, 0])
+        assert np.linalg.norm(alone[k] - together.histogram[k, 0]) < 0.03 * np.linalg.norm(alone[k])
+
+
 def test_a_target_takes_cells_for_both_and_repeats_to_the_byte() -> None:
     capture = scan("confocal", 5e-4)
     found = simulate(furnished_box(), capture, Accuracy(target=0.02, max_bounces=4), seed=3)

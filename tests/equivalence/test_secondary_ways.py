@@ -10,6 +10,7 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
 from scipy import stats
 
 from datagen import Accuracy, Capture, Lambertian, Part, Scene, simulate
+from datagen.errors import InputError
 
 AXIS = bins_of_path(40, 0.5, 0.0)
 
@@ -78,3 +79,11 @@ def test_both_ways_give_the_same(place: str) -> None:
     off = np.abs(ours.mean(axis=0) - paths.mean(axis=0))
     assert (off < stats.t.isf(0.5e-3 / filled.sum(), 7) * error)[filled].all()
     assert error[-1] < 0.15 * ours[:, -1].mean()
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"secondary": "strongest"}, {"secondary": 0}, {"secondary": "some"}, {"observed": 0}]
+)
+def test_choices_that_mean_nothing_are_refused(kwargs: dict) -> None:
+    with pytest.raises(InputError, match=r"Accuracy\.(secondary|observed)"):
+        Accuracy(max_bounces=4, **kwargs)

@@ -1,10 +1,14 @@
 """The separation of a matched filter on drawn histograms, with which a stated significance is compared.
 
-Random scenes of the ready configurations, with scans of 2 × 2 points and different kinds of detectors.
+    PYTHONPATH=. python tests/evidence/matched_filter.py 200
+
+prints measured over stated separation for 200 random scenes of the ready configurations, with scans of 2 × 2 points
+and different kinds of detectors.
 """
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,6 +23,7 @@ from datagen.records import Transient
 
 BINS, WIDTH_S = 128, 4e-10
 PERIOD_S = BINS * WIDTH_S
+DRAWS = 1000
 SIGMA = 6.0
 """Significance for which every scene's exposure is chosen, unless drawing it would take too long."""
 MODES = ("ideal", "one a cycle", "gated", "free running", "dead for three bins")
@@ -107,7 +112,7 @@ class Separation:
         return abs(self.measured - self.follows) / self.error
 
 
-def separation(scene: int, mode: str, draws: int = 1000) -> Separation:
+def separation(scene: int, mode: str) -> Separation:
     """The separation in random scene `scene` under a detector of kind `mode`."""
     light, name = light_of(scene)
     spad, exposure = detector(mode, light, name, scene)
@@ -119,9 +124,9 @@ def separation(scene: int, mode: str, draws: int = 1000) -> Separation:
     rate = np.clip(everything / armed_cycles(everything, spad, exposure), 0.0, None)
     answers = []
     for seed, seen in enumerate((light.total, np.maximum(light.total - own, 0.0))):
-        many = np.tile(seen, (draws, 1, 1))
+        many = np.tile(seen, (DRAWS, 1, 1))
         counts = dg.detect(many, light.time, spad, exposure, seed=2 * scene + seed).astype(np.float64)
-        counts = counts.reshape(draws, *own.shape)
+        counts = counts.reshape(DRAWS, *own.shape)
         surplus = counts - rate * armed_cycles(counts, spad, exposure)
         answers.append((weight * surplus).sum(axis=(1, 2, 3)))
     with_it, without = answers
@@ -130,7 +135,7 @@ def separation(scene: int, mode: str, draws: int = 1000) -> Separation:
     # The error of a standard deviation depends on the fourth moment: weights are large in bins with few counts.
     fourth = float((((with_it - with_it.mean()) / spread) ** 4).mean())
     error = np.hypot(
-        np.sqrt(1 + without.var() / spread**2) / np.sqrt(draws), measured * np.sqrt((fourth - 1) / (4 * draws))
+        np.sqrt(1 + without.var() / spread**2) / np.sqrt(DRAWS), measured * np.sqrt((fourth - 1) / (4 * DRAWS))
     )
     without_own = own_light(np.maximum(light.total - own, 0.0), [own], light.time, spad, exposure)
     follows = (weight * np.concatenate([block.own[0] for block in without_own])).sum() / stated
@@ -140,3 +145,21 @@ def separation(scene: int, mode: str, draws: int = 1000) -> Separation:
 def farthest_of(scenes: int) -> float:
     """Standard errors that none of so many scenes exceeds, except in one run in a thousand (Bonferroni)."""
     return float(norm.isf(1e-3 / scenes / 2))
+
+
+if __name__ == "__main__":
+    scenes = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+    all_of_them = []
+    for number in range(scenes):
+        kind = MODES[number % len(MODES)]
+        of = separation(number, kind)
+        all_of_them.append(of)
+        room, ratio = ready()[number % len(ready())].name, of.measured / of.stated
+        line = f"{of.stated:8.3f} {of.follows:8.3f} {of.measured:8.3f} ± {of.error:.3f}  {ratio:.3f}"
+        print(f"{number:4d} {room:26s} {kind:20s} {line}", flush=True)
+    ratios, beyond = [of.measured / of.stated for of in all_of_them], [of.beyond for of in all_of_them]
+    significant = [ratio for ratio, of in zip(ratios, all_of_them, strict=True) if of.stated > 1]
+    print(
+        f"median {np.median(ratios):.4f}, of the {len(significant)} with σ > 1 {np.median(significant):.4f};"
+        f" farthest {max(beyond):.2f} standard errors from the prediction, at most {farthest_of(scenes):.2f} expected"
+    )

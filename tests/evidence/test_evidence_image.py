@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from datagen.labels.images import hidden_surface
 from datagen.records import Rectangle
 from datagen.transport.visibility.raycast import Raycaster
 
+CONFIGS = Path(__file__).parents[2] / "configs"
 LABELS = LabelsConfig(rows=64, columns=64)
 TIME = dg.TimeAxis(bins=300, width_s=1e-10, origin="wall")
 EXPOSURE = dg.Exposure(repetition_rate_hz=2e7, cycles=10_000, photons_per_pulse=1e8)

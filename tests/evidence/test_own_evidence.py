@@ -140,10 +140,8 @@ def test_an_unknown_part_is_refused() -> None:
 
 @pytest.mark.parametrize("scenes", [len(MODES), pytest.param(200, marks=pytest.mark.nightly)])
 def test_matched_filters_have_the_stated_significance(scenes: int) -> None:
-    """On 400 drawn histograms of each scene by day, 1000 by night, at a level of 1e-3 for all scenes together: of
-    400 a σ of 6 is known to 4 %, and one that is 15 % wrong is found."""
-    draws = 1000 if scenes == 200 else 400
-    found = [separation(number, MODES[number % len(MODES)], draws) for number in range(scenes)]
+    """On 1000 drawn histograms of each scene, at a level of 1e-3 for all scenes together."""
+    found = [separation(number, MODES[number % len(MODES)]) for number in range(scenes)]
     assert all(of.stated > 0.5 for of in found[: len(MODES)])
     assert max(of.beyond for of in found) < farthest_of(scenes)
     if scenes == 200:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,17 @@ def test_labels_without_light_cost_a_network_that_believes_them() -> None:
     assert errors[WEIGHTED] < 0.9 * errors[PLAIN] and errors[OVER] < 0.9 * errors[PLAIN]
     # Without light no network can know the depth.
     assert blind[~seen].mean() == pytest.approx(1.2**2 / 12, rel=0.2)
+
+
+def test_the_epoch_is_chosen_on_val() -> None:
+    """Where val has another truth than train, to have learnt less is better; test has no say."""
+    train, val = scenes(96, 1), scenes(100, 3)
+    false = replace(val, depth=2 * made["mean_depth"](train) * val.box - val.depth)
+    errors = [
+        made["square_error"](made["found_in"](made["trained"](PLAIN, train, of, 0, 12), val), val)[val.sigma > 3]
+        for of in (val, false)
+    ]
+    assert errors[0].mean() < 0.5 * errors[1].mean()
 
 
 def test_the_command_prints_a_table_and_draws(

@@ -51,6 +51,26 @@ def test_the_plan_says_what_a_build_takes(config: Path, tmp_path: Path, capsys: 
 
 
 @pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--workers", "0"], "--workers 0"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--seconds", "nan"], "--seconds nan"),
+        (["--scenes", "0"], "--scenes 0"),
+        (["--json", "nowhere/plan.json"], "no folder nowhere"),
+        (["--json", "."], "is a folder"),
+        (["--against", "nowhere"], "no such dataset"),
+    ],
+)
+def test_bad_input_is_one_line(
+    config: Path, options: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(config), *options]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and word in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
     ("seconds", "text"),
     [(0.5, "0.5 s"), (43.2, "43 s"), (119.0, "2 min"), (3000.0, "50 min"), (12240.0, "3.4 h"), (1e6, "12 days")],
 )

@@ -13,6 +13,7 @@ from handmade_rooms import box_mesh, l_corridor, rectangle_mesh
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
 from datagen.labels import make_labels
+from datagen.labels.raster import cut_voxels
 from datagen.labels.solids import connected_surfaces
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Lambertian, Part, Rectangle, Scene
@@ -83,6 +84,12 @@ def test_ball_has_its_distance_and_its_volume() -> None:
     assert volume == pytest.approx(4 / 3 * np.pi * 0.8**3, rel=0.02)
 
 
+def test_layers_count_away_from_the_wall_rows_down_columns_right() -> None:
+    scene = scene_of(box_mesh((0.5, 0.5, 0.5), (5.6, 3.6, 2.0)))
+    layer, row, column = np.nonzero(make_labels(CONFIG, scene, ("occupancy",))["occupancy"])
+    assert layer.max() < 10 and row.max() < 10 and column.max() < 12
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_volume_and_image_agree_about_what_is_in_front(side: int) -> None:
     """The first occupied layer of a column stands at the depth that the image shows there."""
@@ -124,6 +131,30 @@ def test_overlapping_solids_are_united() -> None:
     np.testing.assert_array_equal(labels["occupancy"], labels["sdf"] < 0)
 
 
+def _clipped(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
+    """Sutherland and Hodgman: the part of a polygon on one side of an axis-aligned plane."""
+    kept = []
+    for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
+        here, there = sign * (a[axis] - limit), sign * (b[axis] - limit)
+        if here <= 0:
+            kept.append(a)
+        if here * there < 0:
+            kept.append(a + (b - a) * here / (here - there))
+    return kept
+
+
+def test_touched_voxels_contain_a_piece_of_the_triangle() -> None:
+    """The separating-axis test against clipping the triangle to every voxel."""
+    rng = np.random.default_rng(3)
+    for triangle in rng.uniform(-1, 5, (40, 3, 3)):
+        found = cut_voxels(triangle[None], (4, 4, 4))
+        for layer, row, column in np.ndindex(4, 4, 4):
+            piece = list(triangle)
+            for axis, low in enumerate((column, row, layer)):
+                piece = _clipped(_clipped(piece, axis, low + 1, 1), axis, low, -1)
+            assert found[layer, row, column] == bool(piece)
+
+
 def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     whole = ball()
     order = np.argsort(whole.triangles_center[:, 2])
@@ -135,6 +166,19 @@ def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     mended = make_labels(CONFIG, scene_of(chipped), ("occupancy",))["occupancy"]
     assert (reference != mended).sum() < 0.01 * reference.sum()
     assert (make_labels(CONFIG, scene_of(bowl), ("sdf",))["sdf"] >= 0).all()
+
+
+def test_inside_matches_the_winding_number_of_a_turned_box() -> None:
+    """Parity columns against an independent truth, with faces, edges and corners on the grid's own planes."""
+    mesh = trimesh.creation.box((1.2, 1.2, 1.2))
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 4, (0, 0, 1)))
+    mesh.apply_translation((4.5, 2.5, 1.2))
+    scene = scene_of(mesh)
+    turned = centers(scene) - [4.5, 2.5, 1.2]
+    diamond = abs(turned[..., 0]) + abs(turned[..., 1]) - 0.6 * np.sqrt(2)
+    certain = (abs(diamond) > 1e-9) & (abs(abs(turned[..., 2]) - 0.6) > 1e-9)
+    expected = (diamond < 0) & (abs(turned[..., 2]) < 0.6)
+    np.testing.assert_array_equal(make_labels(CONFIG, scene, ("occupancy",))["occupancy"][certain], expected[certain])
 
 
 def test_scene_without_objects_is_empty_and_far_from_everything() -> None:

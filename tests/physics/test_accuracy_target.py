@@ -15,8 +15,9 @@ from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, squ
 from scipy import stats
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, TimeAxis, simulate
+from datagen.errors import InputError
 from datagen.records import Transient
-from datagen.transport.error_control.confidence import Scatter, bound_factor
+from datagen.transport.error_control.confidence import Scatter, bound_factor, disagreement
 from datagen.transport.error_control.rounds import sampled
 from datagen.transport.error_control.stratum import Known
 from datagen.transport.path_tracing.replicate_spread import Sketch
@@ -181,6 +182,16 @@ def test_touching_surfaces_come_to_an_end(count: int) -> None:
     assert beyond(runs, 0.05) <= beyond_at_most(count)
 
 
+@pytest.mark.parametrize(
+    "kwargs", [{"lookins": 2048}, {"fov_samples": 16}, {"replicates": 8}, {"observed": 64}, {"target": 0}]
+)
+def test_counts_beside_a_target_are_refused_in_one_line(kwargs: dict) -> None:
+    with pytest.raises(InputError, match=r"Accuracy\.\w+ = .*") as error:
+        Accuracy(**{"target": 0.02, "max_bounces": 4, **kwargs})
+    assert "\n" not in str(error.value)
+    assert next(iter(kwargs)) in str(error.value)
+
+
 def test_bound_holds_as_often_as_it_says() -> None:
     """Gaussian replicates of known covariance, flat or dominated by few directions: the squared error of the mean
     exceeds its bound in 2.5 % of 1000 trials, and in less than 5 % if ν is estimated by the sketch from 8 replicates;
@@ -200,6 +211,12 @@ def test_bound_holds_as_often_as_it_says() -> None:
             beyond += float((mean**2).sum()) > variance * factor
         assert beyond <= stats.binom.isf(1e-3, trials, 0.05)
         assert beyond >= 1
+
+
+def test_rounds_that_differ_by_more_than_their_noise_are_distrusted() -> None:
+    known = [Scatter(1.0, 20, 8)]
+    assert disagreement(2.0, known[0], known) == 1.0
+    assert disagreement(40.0, known[0], known) == pytest.approx(20.0)
 
 
 def foot_of_a_wall(half_side_m: float) -> Capture:

@@ -86,6 +86,16 @@ def test_russian_roulette_follows_all_orders_without_bias() -> None:
     assert result.total.tobytes() == again.total.tobytes()
 
 
+def test_components_add_up_and_orders_do_not_disturb_each_other() -> None:
+    scene, capture = furnished_box(), one_point_capture(time=bins_of_path(60, 0.3, 0.0))
+    few = simulate(scene, capture, Accuracy(2048, 4, 3, 4), seed=3)
+    many = simulate(scene, capture, Accuracy(2048, 4, 6, 4, direct=True), seed=3)
+    assert list(many.components) == ["direct", "primary", "secondary", "higher"]
+    np.testing.assert_allclose(sum(many.components.values()), many.total, rtol=1e-12)
+    np.testing.assert_allclose(sum(many.parts.values()), many.components["primary"], rtol=1e-12)
+    assert many.components["primary"].sum() == pytest.approx(few.components["primary"].sum(), rel=0.02)
+
+
 def test_light_is_linear_in_each_albedo_order_by_order() -> None:
     """Exactly, because the paths are the same: halving every albedo divides the primary by 2³ and the secondary by
     2⁴; halving one part's, the light of a path by 2 for each bounce on that part."""
@@ -175,3 +185,27 @@ def test_a_near_disc_aperture_receives_its_exact_share() -> None:
         result = simulate(scene, capture, Accuracy(16, 1, 3, 1, direct=True), seed=1)
         received = result.components["direct"].sum() + result.overflow.sum()
         assert received == pytest.approx(0.8 * 0.02**2 / (distance**2 + 0.02**2), rel=1e-6)
+
+
+@pytest.mark.parametrize("pairing", ["exhaustive", "confocal"])
+def test_many_pixels_give_what_each_gives_alone(pairing: str) -> None:
+    """Array sensors, single pixels, confocal and exhaustive scans run the same code and give each pixel the same
+    light."""
+    scene, device, axis = furnished_box(), np.array([1.5, 0.1, 1.3]), bins_of_path(20, 0.8, 0.0)
+    points = np.array([[0, y, 1.3] for y in (-0.8, 0.0, 0.8)])
+    pixels = square_pixels(points, 0.1)
+    accuracy = Accuracy(1 << 13, 4, 4, 8)
+    capture = Capture(Laser(device, points), Sensor(device, pixels), axis, pairing)  # type: ignore[arg-type]
+    together = simulate(scene, capture, accuracy, seed=1)
+    worst = []
+    for i in range(3):
+        for k, p in enumerate([i] if pairing == "confocal" else range(3)):
+            alone = simulate(
+                scene, Capture(Laser(device, points[[i]]), Sensor(device, pixels[[p]]), axis), accuracy, seed=2
+            )
+            sigma = np.hypot(alone.stderr[0, 0], together.stderr[i, k])
+            filled = sigma > 0
+            worst.append((np.abs(alone.total[0, 0] - together.total[i, k])[filled] / sigma[filled]).max())
+            assert alone.total.sum() == pytest.approx(together.total[i, k].sum(), rel=0.02)
+    # Bonferroni over at most 9 × 20 bins at 10⁻³, Student's t with about 14 degrees.
+    assert max(worst) < stats.t.ppf(1 - 0.5e-3 / 180, 14)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -62,6 +63,20 @@ def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     assert 0.1 * whole < seen < 0.8 * whole
 
 
+def test_arrival_times_of_a_large_pixel_are_spread() -> None:
+    """A pixel of 40 cm, in bins of 2 cm, has the mean histogram of the 24 × 24 small pixels that it consists of."""
+    half, n = 0.2, 24
+    corners = looking_at(0.0, half).sensor.pixels[0]
+    y, z = (np.linspace(corners[:, k].min(), corners[:, k].max(), n + 1) for k in (1, 2))
+    small = np.array([[[0, a, c], [0, b, c], [0, b, d], [0, a, d]] for a, b in pairwise(y) for c, d in pairwise(z)])
+    large, eye = cells(wall_and_box(crate()), looking_at(0.0, half), Accuracy(target=0.005)), looking_at(0.0)
+    parts = cells(
+        wall_and_box(crate()), replace(eye, sensor=replace(eye.sensor, pixels=small)), Accuracy(target=0.01)
+    )
+    summed = parts.total.sum(axis=1)
+    assert np.linalg.norm(large.total[:, 0] - summed) < 0.01 * np.linalg.norm(summed)
+
+
 def empty_room() -> Scene:
     """Five sides of an empty room of 4 × 3 × 2.5 m about its relay wall."""
     room = furnished_box(0.5)
@@ -101,6 +116,22 @@ def test_the_error_falls_with_the_square_of_the_cells_size() -> None:
     assert slope < -0.9, (errors, counts)
     assert errors[-1] < 1.2e-3
     assert truth.met_target and cells_of(truth) < 1e6
+
+
+def test_light_is_linear_in_the_albedo() -> None:
+    """Halving all albedos leaves exactly an eighth of the light; halving one object's leaves half of that object's
+    light, within the error asked."""
+    room, capture = furnished_box(0.8), one_point_capture()
+    whole = cells(room, capture)
+    dim = cells(replace(room, materials=tuple(Lambertian(0.4) for _ in room.materials)), capture)
+    np.testing.assert_array_equal(dim.total * 8, whole.total)
+    grey = tuple(
+        Lambertian(0.4) if name == "box" else m for name, m in zip(room.part_names, room.materials, strict=True)
+    )
+    box = cells(replace(room, materials=grey), capture).parts["box"]
+    assert np.linalg.norm(2 * box - whole.parts["box"]) < 0.015 * np.linalg.norm(whole.parts["box"])
+    assert not simulate(furnished_box(0.0), capture, FINE).total.any()
+    assert everything(cells(furnished_box(1.0), capture)) == pytest.approx(everything(whole) / 0.8**3, rel=1e-3)
 
 
 def test_finer_triangles_and_another_order_are_the_same_surface() -> None:

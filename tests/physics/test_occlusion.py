@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.errors import InputError
 
 
 def test_without_occlusion_nothing_is_asked_and_light_is_only_added() -> None:
@@ -27,3 +29,8 @@ def test_without_occlusion_nothing_is_asked_and_light_is_only_added() -> None:
     on, off = (simulate(room, capture, replace(accuracy, occlusion=o), seed=1) for o in ("on", "off"))  # type: ignore[arg-type]
     assert (off.total >= on.total * (1 - 1e-12)).all()
     assert off.total.sum() > 1.001 * on.total.sum()
+
+
+def test_an_unknown_way_with_occlusion_is_refused() -> None:
+    with pytest.raises(InputError, match="occlusion = 'maybe': must be one of auto"):
+        Accuracy(occlusion="maybe")  # type: ignore[arg-type]

@@ -4,12 +4,46 @@
 from __future__ import annotations
 
 import numpy as np
-from rooms import furnished_box, one_point_capture
+import pytest
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
+from sphere_chords import QUAD, SPOT, unit_ball
 
+from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.reference import pairs_of
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.visibility.raycast import Raycaster
+
+APERTURE_M2 = np.pi * 0.02**2
+
+
+@pytest.mark.parametrize("albedo", [0.3, pytest.param(1.0, marks=pytest.mark.nightly)])
+def test_inside_of_a_sphere(albedo: float) -> None:
+    """Every vertex after a bounce is uniform on the sphere, so b bounces bring ρᵇ/π · A Ω / (4π r²) for any b ≥ 3."""
+    scene = Scene.from_parts([Part("sphere", unit_ball(5), Lambertian(albedo), "structure")])
+    capture = Capture(Laser((0, 0, 0.0), [SPOT]), Sensor((0, 0, 0.0), QUAD), bins_of_path(100, 0.1, 0.0))
+    primary = albedo**3 / np.pi / (4 * np.pi) * APERTURE_M2 * PixelCones.of(capture.sensor).solid_angle[0]
+    found = reference(scene, capture, draw=sample_paths, samples=1 << 14, replicates=2, max_bounces=6, seed=1)
+    by_order = [found.components["primary"].sum(), found.components["secondary"].sum()]
+    assert by_order == pytest.approx([primary, primary * albedo], rel=2e-3)
+    assert found.components["higher"].sum() == pytest.approx(primary * (albedo**2 + albedo**3), rel=4e-3)
+    if albedo < 1:
+        everything = reference(
+            scene, capture, draw=sample_paths, samples=1 << 12, replicates=8, max_bounces=None, seed=1
+        )
+        assert everything.total.sum() == pytest.approx(primary / (1 - albedo), rel=1e-2)
+
+
+def test_where_there_is_no_light() -> None:
+    """A laser ray or a pixel that meets nothing, and a wall alone, give zeros and no warning."""
+    wall = Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
+    alone = Scene.from_parts([wall])
+    for laser, seen in (((0, 0.2, 1), (0, -0.2, 1)), ((0, 5.0, 1), (0, 0, 1)), ((0, 0, 1), (0, 5.0, 1))):
+        capture = one_point_capture(laser, seen, 0.05)
+        found = reference(alone, capture, draw=sample_paths, samples=256, max_bounces=4)
+        assert not found.total.any() and not found.overflow.any()
+        assert found.total.shape == capture.shape
 
 
 def test_the_same_seed_gives_the_same_paths_whatever_else_is_asked() -> None:

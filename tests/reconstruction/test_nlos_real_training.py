@@ -58,6 +58,15 @@ def scan(response: np.ndarray) -> Any:
     return made["Real"](rng.poisson(np.maximum(spread, 0) + 8).astype(float), SIDE)
 
 
+def test_a_plate_in_front_of_a_point_arrives_at_twice_its_distance() -> None:
+    width = made["FINE_S"]
+    light = LETTER.arrivals(SIDE, 512, width)
+    cover = made["outline_of"](LETTER, SIDE)
+    first = (light > 0).argmax(axis=2)[cover] * width * 299_792_458.0 / 2
+    # The points of the scan that the letter covers see its nearest part opposite them.
+    assert np.abs(first - LETTER.depth).max() < 0.015
+
+
 def test_the_letter_is_found_by_its_light(scan: Any, response: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(made["letter_of"].__globals__, "EVALUATIONS", 60)
     letter, explained = made["letter_of"](scan, response)
@@ -70,6 +79,24 @@ def test_classical_methods_see_the_letter_where_it_is(scan: Any) -> None:
     for mask, depth in made["classical"](scan, truth).values():
         assert made["overlap"](mask, truth) > 0.4
         assert abs(np.median(depth[mask]) * SIDE - LETTER.depth) < 0.02
+
+
+def test_a_pulse_without_tail_is_as_wide_at_half_of_its_height(response: np.ndarray) -> None:
+    with_tail, without = (np.array(made["pulse_of"](response, 1.0, tail).samples) for tail in (True, False))
+    before = made["BEFORE"]
+    assert with_tail.argmax() == without.argmax() == before
+    assert abs((with_tail > with_tail.max() / 2).sum() - (without > without.max() / 2).sum()) <= 1
+    assert without[before + 30 :].sum() < 1e-6 * without.sum() < 0.1 * with_tail[before + 30 :].sum()
+
+
+def test_counts_have_the_level_and_the_floor_that_were_drawn(response: np.ndarray) -> None:
+    light = LETTER.arrivals(SIDE, made["BINS"] * made["STEPS"], made["BIN_S"] / made["STEPS"])
+    floors = {}
+    for floor in (True, False):
+        counts = made["counts_of"](light, response, made["Simulation"](floor=floor), 3)
+        assert counts.shape == (32, 32, made["BINS"]) and counts[..., 0].mean() > counts[..., 20:].mean()
+        floors[floor] = counts[..., -10:].mean()
+    assert floors[True] > 1 > floors[False]
 
 
 def test_a_network_learns_silhouette_and_depth() -> None:
@@ -103,6 +130,34 @@ def test_without_the_scans_the_script_says_so(
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path), str(tmp_path / "picture.png")])
     made["main"]()
     assert "missing" in capsys.readouterr().out and not (tmp_path / "picture.png").exists()
+
+
+@real
+def test_the_real_letter_arrives_when_a_plate_at_its_place_would() -> None:
+    """Point by point; the letter is the fit's, and its light is moved by whole bins until it fits best."""
+    scan = made["Real"].read(REAL / made["LETTER"])
+    pulse, before = scan.pulse(np.load(REAL / made["IRF"]).astype(float))
+    letter = made["Letter"](-0.0317, -0.0560, 0.3883, 0.5259, 0.1149, 0.4963, 0.0049, 0.0332)
+    bins, width = scan.fine.shape[2], made["FINE_S"]
+    light = letter.arrivals(scan.side, bins, width)
+    light = np.fft.irfft(np.fft.rfft(light, 2 * bins) * np.fft.rfft(pulse, 2 * bins), 2 * bins)
+    light = light[..., before : before + bins]
+    window = slice(round(2.9e-9 / width), round(5.5e-9 / width))
+    moved = range(-8, 9)
+    scores = np.stack([
+        [np.corrcoef(a, b)[0, 1] for a, b in zip(np.roll(light, k, axis=2)[..., window].reshape(1024, -1),
+                                               scan.fine[..., window].reshape(1024, -1), strict=True)]
+        for k in moved
+    ])  # fmt: skip
+    shift = np.array(moved)[scores.argmax(axis=0)]
+    assert abs(np.median(shift)) <= 1 and np.median(np.abs(shift)) <= 2
+    # All points together have their peak behind the plate's depth: most of them look at it from the side.
+    for mean in (light.mean(axis=(0, 1)), scan.fine.mean(axis=(0, 1))):
+        peak = (window.start + mean[window].argmax() + 0.5) * width * 299_792_458.0 / 2
+        assert peak == pytest.approx(0.528, abs=0.004)
+    # The floor is Poisson's: 1024 points of 100 bins, at the level 10⁻⁶ of a normal distribution.
+    floor = scan.fine[..., -100:]
+    assert floor.var(axis=2, ddof=1).mean() / floor.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / (1024 * 99)))
 
 
 @real

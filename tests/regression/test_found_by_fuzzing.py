@@ -23,6 +23,8 @@ from datagen import (
     simulate,
 )
 from datagen.errors import InputError
+from datagen.transport.error_control.confidence import Scatter, bound_factor
+from datagen.transport.path_tracing.replicate_spread import Sketch
 
 
 def test_a_laser_that_meets_nothing_has_no_shares_of_work() -> None:
@@ -68,6 +70,20 @@ def test_traps_that_would_take_minutes_to_forget_are_refused() -> None:
     spad = Spad(1.0, dead_time_s=1e-9, afterpulse_probability=0.05, afterpulse_times_s=(1.0,))
     with pytest.raises(InputError, match=r"before the exposure.*afterpulse_times_s"):
         detect(np.full(33, 1.0), TimeAxis(33, 1e-9), spad, Exposure(1 / 33e-9, 2, 1.0))
+
+
+@pytest.mark.parametrize("exponent", [-400, 200])
+def test_the_error_of_very_little_light(exponent: int) -> None:
+    """Where replicates deviated by 10⁻⁸⁵ the fourth power of that was divided by: a crash with a target."""
+    freedoms, factors = [], []
+    for scale in (1.0, 2.0**exponent):
+        sketch = Sketch(8)
+        for k, run in enumerate(np.random.default_rng(6).normal(size=(8, 50))):
+            sketch.add(k, run * scale, 0)
+        freedoms.append(sketch.freedom())
+        factors.append(bound_factor([Scatter(scale**2, 3.0, 8), Scatter(0.5 * scale**2, 20.0, 8)]))
+    assert freedoms[0] == freedoms[1] > 5
+    assert factors[0] == factors[1] > 1
 
 
 def test_bright_triangles_under_dark_ones_are_proven_hidden() -> None:

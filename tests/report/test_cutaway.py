@@ -8,7 +8,7 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.colors import to_rgb
 
 from datagen.records import Lambertian, Part, Scene
-from datagen.report.cutaway import Camera, shaded
+from datagen.report.cutaway import Camera, cut_open, shaded
 from datagen.report.room_plots import best_view
 from datagen.report.style import part_colors
 
@@ -21,6 +21,15 @@ def test_ceiling_goes_and_floor_objects_and_relay_wall_stay(side: int) -> None:
     assert {"floor", "pillar", "box", "relay_wall"} <= kept
     assert "ceiling" in scene.part_names and "ceiling" not in kept
     assert len(cut.outlines) > 0
+
+
+def test_walls_between_viewer_and_room_go_and_those_behind_stay() -> None:
+    scene = l_corridor()
+    cut = cut_open(scene, Camera.looking(150.0, 42.0))
+    kept = {scene.part_names[k] for k in np.unique(scene.face_part[cut.faces])}
+    # From −x and +y: the wall at y = −1 and the one that goes on from the relay wall are behind everything.
+    assert {"wall_5", "wall_0"} <= kept
+    assert not {"wall_1", "wall_2", "wall_3", "wall_4"} & kept
 
 
 def test_picture_shows_the_nearest_part_where_it_is() -> None:

@@ -36,6 +36,21 @@ def test_the_curves_add_up_to_the_total(direct: bool) -> None:
     np.testing.assert_allclose(curves.total, total, rtol=1e-9, atol=curves.total.max() * 1e-12)
 
 
+def test_both_origins_give_the_same_clock() -> None:
+    """Counted from the laser point, the two origins differ by the sensor's leg alone, within a bin."""
+    peaks = []
+    shared = {"scan": {"kind": "points", "points_m": [[0.2, 0.3]]}}
+    sharp = {"pulse_fwhm_ps": 0, "jitter_fwhm_ps": 0}
+    for origin in ("wall", "source"):
+        config = configured({**shared, "time": {"bins": 1024, "bin_width_ps": 100, "origin": origin}}, sharp)
+        curves = curves_of(config)
+        peaks.append(float((curves.time_ns * curves.total).sum() / curves.total.sum()))
+        scene = dg.generate_scene(config.scene, config.seed, 0)
+        capture = dg.capture_for(config, scene)
+    leg_ns = np.linalg.norm(capture.laser.targets[0] - capture.sensor.position) / 0.299792458
+    assert peaks[1] - peaks[0] == pytest.approx(leg_ns, abs=0.15)
+
+
 def test_efficiency_and_pulse_act_as_they_should() -> None:
     scan = {"scan": {"rows": 1, "columns": 1}, "time": {"bins": 1024}}
     sharp = curves_of(configured(scan, {"pde": 1, "pulse_fwhm_ps": 0, "jitter_fwhm_ps": 0}))

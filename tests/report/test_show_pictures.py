@@ -237,3 +237,23 @@ def test_corner_cases_are_drawn(case: str, wanted: list[str], missing: set[str])
     if case == "many pixels":
         text = words(figures["overview"])
         assert "1 laser point on" in text and "into the sensor (1600 pixels)." in text
+
+
+def test_same_scene_gives_the_same_bytes_and_no_setting_leaks(
+    usual: tuple[StoredScene, Replay], tmp_path: Path
+) -> None:
+    import matplotlib
+
+    written = []
+    for number, size in enumerate((10.0, 23.0)):
+        before = matplotlib.rcParams["font.size"]
+        matplotlib.rcParams["font.size"] = size
+        try:
+            with house_style():
+                figure = dict(pages(*usual, ["overview"]))["overview"]
+                figure.set_layout_engine("none")
+                written.append(save_png(figure, tmp_path / f"{number}.png").read_bytes())
+            assert matplotlib.rcParams["font.size"] == size
+        finally:
+            matplotlib.rcParams["font.size"] = before
+    assert written[0] == written[1]

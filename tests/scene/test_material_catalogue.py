@@ -12,6 +12,7 @@ import pytest
 from scipy import stats
 
 from datagen.config import config_from_mapping
+from datagen.errors import InputError
 from datagen.records import Lambertian, Phong
 from datagen.scene import generate_scene
 from scene_library.materials import MATERIALS
@@ -171,6 +172,12 @@ def test_the_wavelength_changes_the_albedos_of_a_room_and_nothing_else() -> None
             assert before.albedo != after.albedo
             assert other.parameters[f"{name}.albedo"] == after.albedo
     assert lobes == {Lambertian, Phong}
+
+
+@pytest.mark.parametrize("wavelength_nm", [500, 531.9, 1551, 1600])
+def test_a_wavelength_outside_the_catalogue_is_refused(wavelength_nm: float) -> None:
+    with pytest.raises(InputError, match=r"scene\.wavelength_nm: .* covers 532 … 1550 nm; take a wavelength in that"):
+        config_from_mapping({"scene": {"wavelength_nm": wavelength_nm}})
 
 
 def test_scenes_draw_materials_with_tints_inside_their_spread() -> None:

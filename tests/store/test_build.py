@@ -27,6 +27,7 @@ from fake_samples import (
 )
 
 from datagen.building.build import parse_shards
+from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store import running_path, verify
 
@@ -125,6 +126,36 @@ def test_folders_of_other_files_are_refused_and_stay_as_they_are(tmp_path: Path)
     with pytest.raises(InputError, match="not the manifest of a datagen dataset"):
         build_fakes(small_config(), tmp_path / "other")
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["dataset.json", "other", "thesis.tex"]
+
+
+def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        build_fakes(small_config(), file)
+    with pytest.raises(InputError, match="is a file, not a folder"):
+        build_fakes(small_config(), file / "below" / "set")
+    with pytest.raises(InputError, match="cannot be written"):
+        build_fakes(small_config(), Path("/proc/datagen-test"))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_bad_input_creates_nothing(tmp_path: Path) -> None:
+    def refuse(config: DatasetConfig) -> None:
+        raise InputError("scene: no such room")
+
+    with pytest.raises(InputError, match="no such room"):
+        build_fakes(small_config(), tmp_path / "a/b", input_check=refuse)
+    for workers, options, message in (
+        (0, {}, "--workers 0: must be ≥ 1"),
+        (1, {"engine": "slurm"}, "--engine slurm: must be local or dask"),
+        (1, {"scheduler": "tcp://host:1"}, "only --engine dask has a scheduler"),
+        (1, {"shards": "2-3"}, "has the shards 0-2"),
+        (1, {"scenes": 0}, "--scenes 0: must be ≥ 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            build_fakes(small_config(), tmp_path / "a/b", workers, **options)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:

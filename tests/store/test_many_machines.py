@@ -15,7 +15,7 @@ from datagen.building.build import parse_shards
 CLUSTERS = Path(__file__).resolve().parents[2] / "docs" / "clusters"
 
 
-@pytest.mark.parametrize(("shards", "tasks"), [(20, 7), (3, 5)])
+@pytest.mark.parametrize(("shards", "tasks"), [(20, 7), (3, 5), (64, 64)])
 def test_tasks_of_a_job_array_share_all_shards(tmp_path: Path, shards: int, tasks: int) -> None:
     calls, fake = tmp_path / "calls", tmp_path / "datagen"
     fake.write_text(f'#!/bin/sh\necho "$@" >> {calls}\n')

@@ -90,6 +90,14 @@ def test_what_verify_reports_is_repaired_by_the_next_build(pristine: Path, datas
         assert (dataset / name).read_bytes() == (pristine / name).read_bytes(), name
 
 
+@pytest.mark.parametrize("description", ["one\r\ntwo", "é\u2028\x1b[2J", "\r"])
+def test_a_description_of_any_text_verifies(tmp_path: Path, description: str) -> None:
+    root = tmp_path / "set"
+    again(root, small_config(scenes=1, description=description))
+    assert verify(root).problems == () and again(root, small_config(scenes=1, description=description)).built == 0
+    assert not any(ord(c) < 32 and c != "\n" for c in (root / "README.md").read_text(encoding="utf-8"))
+
+
 def test_shards_of_another_configuration_restore_nothing(dataset: Path) -> None:
     (dataset / "dataset.json").unlink()
     with pytest.raises(InputError, match=r"dataset\.json: missing, and there are shards; build the dataset again"):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import zarr
+from fake_samples import reseal
 
 from datagen.store import DatasetReader, committed, read_manifest, verify
 from datagen.store.croissant import croissant
+from datagen.store.info import info
 
 SHARD = "data.zarr/histogram/c/1/0/0/0"
 
@@ -49,6 +52,27 @@ def test_damage_is_named(dataset: Path) -> None:
     assert the_problem(dataset).startswith("shard 1: not there (no commit record)")
 
 
+def test_damaged_metadata_and_tables_are_found(dataset: Path, pristine: Path) -> None:
+    for name in (
+        "data.zarr/zarr.json",
+        "data.zarr/depth/zarr.json",
+        "samples.parquet",
+        "croissant.json",
+        "README.md",
+    ):
+        (dataset / name).write_bytes((dataset / name).read_bytes().replace(b"e", b"a", 1) + b" ")
+        assert the_problem(dataset).startswith(name)
+        (dataset / name).unlink()
+        assert the_problem(dataset).startswith(f"{name}: missing")
+        shutil.copy(pristine / name, dataset / name)
+    assert verify(dataset).problems == ()
+
+
+def test_a_changed_configuration_is_found(dataset: Path) -> None:
+    reseal(dataset / "dataset.json", lambda values: values["config"].update(seed=values["config"]["seed"] + 1))
+    assert any("fingerprint" in problem for problem in verify(dataset).problems)
+
+
 def test_the_table_has_a_row_for_every_scene(dataset: Path) -> None:
     table = pq.read_table(dataset / "samples.parquet")
     assert table["scene"].to_pylist() == list(range(12))
@@ -65,3 +89,9 @@ def test_cards_agree_with_the_dataset(dataset: Path) -> None:
     described = croissant(dataset, read_manifest(dataset), committed(dataset, read_manifest(dataset)))
     columns = [field["source"]["extract"]["column"] for field in described["recordSet"][0]["field"]]
     assert columns == pq.read_schema(dataset / "samples.parquet").names
+
+
+def test_info_sums_up(dataset: Path) -> None:
+    text = info(dataset)
+    for piece in ("scenes       12 of 12", f"{'histogram':22}12 × 4 × 1 × 16", "transport     0.0020", "scenes/s"):
+        assert piece in text

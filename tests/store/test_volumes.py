@@ -107,6 +107,14 @@ def test_unknown_points_and_places_add_nothing(dataset: Path) -> None:
     assert not backprojected(scan_of(stored.arrays["histogram"], arrays, capture, stored.time), at[:1]).any()
 
 
+def test_a_scene_without_a_view_is_refused(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, representation="volume")
+    geometry = {name: Scenes(dataset).read(7).arrays[name][None] for name in GEOMETRY}
+    geometry["hidden_bounds"] = np.full((1, 2, 3), np.nan)
+    with pytest.raises(InputError, match="scene 7 has no hidden_view and hidden_bounds"):
+        data._volumes.backproject([7], np.zeros((1, 12, 1, 96)), geometry)  # type: ignore[union-attr]
+
+
 def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
     where = {name: arrays[name].astype(float) for name in GEOMETRY}
     grid = HiddenGrid.behind_images(where["hidden_view"], where["hidden_bounds"], VOXELS)
