@@ -13,9 +13,10 @@ from scipy.ndimage import label
 
 from datagen.baselines.scenes import SuiteScenes, suite_scenes
 from datagen.errors import InputError
-from datagen.labels.frame import image_points
+from datagen.labels.frame import ViewFrame, image_points
+from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import reconstructed, scan_of
-from datagen.reconstruction.grid import HiddenGrid
+from datagen.records import Rectangle
 from datagen.records.arrays import Bools, Floats
 from datagen.store.files import write_atomically
 from datagen.store.scenes import Scenes
@@ -63,11 +64,11 @@ def backprojection(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predic
         content = root.read(int(number))
         arrays = content.arrays
         scan = scan_of(arrays["histogram"], arrays, content.manifest.config["capture"], content.time)
-        view, bounds = arrays["hidden_view"], arrays["hidden_bounds"]
-        behind = HiddenGrid.behind_images(view, bounds, (LAYERS, *wanted.depth.shape[1:]))
+        frame, bounds = ViewFrame.about(Rectangle(*arrays["hidden_view"])), arrays["hidden_bounds"]
+        behind = VoxelGrid.behind_images(frame, bounds, (LAYERS, *wanted.depth.shape[1:]))
         seen = reconstructed(scan, behind)
         brightest = seen.max(axis=0)
-        volume = reconstructed(scan, HiddenGrid.of_volumes(view, bounds, wanted.occupancy.shape[1:]))
+        volume = reconstructed(scan, VoxelGrid.around(frame, bounds, wanted.occupancy.shape[1:]))
         rows.append((
             behind.depths[seen.argmax(axis=0)], brightest > BRIGHT * brightest.max(), volume > BRIGHT * volume.max()
         ))  # fmt: skip

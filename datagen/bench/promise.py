@@ -57,6 +57,9 @@ Halved, more cases stay undecided."""
 SURE = 3.0
 """Distance from the error asked for, in standard errors, that decides a case, too. Halved, chance would decide one in
 eight of the cases whose error is just the one asked for."""
+DARK = 1e-25
+"""Photons per emitted photon below which light is dark, and no case: a watt of green light emits 2e23 in a day. Half
+of it changes nothing; light as faint comes by the far tails of lobes, which samples do not resolve."""
 MOST_LOOKINS = 1 << 21
 """Rays for each laser point after which a foreign scene may be given up, which the run says: lobes a degree wide
 would otherwise take minutes."""
@@ -84,6 +87,7 @@ class Check:
     what, traits : "whole" or the object, and what it has there, the method of its light too.
     asked, claimed : relative L2 error asked for, and claimed by the run.
     square, known : measured squared relative error, and its standard error.
+    photons : of the truth or the run, the larger, per emitted photon.
     energy, energy_known : photons of the run over those of the truth, and the standard error of that ratio.
     samples : of the truth, for each histogram. seconds : processor seconds of the run.
     """
@@ -96,10 +100,16 @@ class Check:
     claimed: float
     square: float
     known: float
+    photons: float
     energy: float
     energy_known: float
     samples: int
     seconds: float
+
+    @property
+    def dark(self) -> bool:
+        """Whether no exposure would count any of the light."""
+        return self.photons < DARK
 
     @property
     def promised(self) -> bool:
@@ -109,7 +119,8 @@ class Check:
     @property
     def decided(self) -> bool:
         """Whether it is known that the error is within the one asked for, or that it is not."""
-        return self.known <= WELL_KNOWN * self.asked**2 or abs(self.square - self.asked**2) > SURE * self.known
+        far = abs(self.square - self.asked**2) > SURE * self.known
+        return self.dark or self.known <= WELL_KNOWN * self.asked**2 or far
 
     @property
     def within(self) -> bool:
@@ -246,7 +257,8 @@ def _compared(
         traits = {**case.traits.get(name, {}), "way": ", ".join(f"{c} {w}" for c, w in sorted(ways.items()))}
         found.append(Check(
             options, accuracy.target, name, traits, accuracy.target if name == WHOLE else accuracy.each_part,
-            claim, square, known, float(energy), float(energy_known), truth.samples, seconds,
+            claim, square, known, max(own, float(energies.mean())), float(energy), float(energy_known),
+            truth.samples, seconds,
         ))  # fmt: skip
     return found
 
@@ -282,7 +294,7 @@ def foreign_case(index: int, meshes: Path | None = None) -> Case:
 
 def table(found: Sequence[Check]) -> str:
     """Markdown: a line for wholes and objects at each target, then for each of their traits."""
-    head = ["of", "target", "cases", "undecided", "not promised", *KEPT, "beyond twice its claim"]
+    head = ["of", "target", "cases", "dark", "undecided", "not promised", *KEPT, "beyond twice its claim"]
     rows = []
     for kind, cases in (("whole", [one for one in found if one.what == WHOLE]),
                         ("objects", [one for one in found if one.what != WHOLE])):  # fmt: skip
@@ -295,14 +307,15 @@ def table(found: Sequence[Check]) -> str:
 
 
 def _row(cases: Sequence[Check]) -> list[str]:
-    promised = [one for one in cases if one.promised]
+    lit = [one for one in cases if not one.dark]
+    promised = [one for one in lit if one.promised]
     known = [one for one in promised if one.decided]
-    counts = [str(len(cases)), str(len(promised) - len(known)), str(len(cases) - len(promised))]
+    counts = [len(cases), len(cases) - len(lit), len(promised) - len(known), len(lit) - len(promised)]
     overclaimed = str(sum(one.overclaimed for one in promised))
     if not known:
-        return [*counts, *[""] * len(KEPT), overclaimed]
+        return [*map(str, counts), *[""] * len(KEPT), overclaimed]
     kept = promises_kept([one.error / one.asked for one in known], [one.within for one in known])
-    return [*counts, *kept, overclaimed]
+    return [*map(str, counts), *kept, overclaimed]
 
 
 def line_of(one: Check) -> str:
@@ -371,5 +384,5 @@ def main(
     (Path(out) / f"{name}.md").write_text(text, encoding="utf-8")
     click.echo(text)
     for one in sorted(found, key=lambda one: one.error / one.asked, reverse=True):
-        if (one.promised and one.decided and not one.within) or one.overclaimed:
+        if not one.dark and ((one.promised and one.decided and not one.within) or one.overclaimed):
             click.echo(line_of(one))

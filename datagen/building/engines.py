@@ -88,10 +88,8 @@ class LocalProcesses:
 
     def __init__(self, workers: int) -> None:
         self.capacity = workers
-        self._idle: list[_Process] = [_Process() for _ in range(workers)]
+        self._all = [_Process() for _ in range(workers)]
         self._busy: dict[Future[Any], _Process] = {}
-        # Ctrl-C may come while a process is in neither list above; `close` must end that process, too.
-        self._all = list(self._idle)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """The future of a job; at most `capacity` jobs may be under way."""
@@ -99,11 +97,9 @@ class LocalProcesses:
             process = self._busy.pop(future)
             if isinstance(future.exception(), self.deaths):
                 process.stop(kill=True)
-                self._all.remove(process)
-                process = _Process()
-                self._all.append(process)
-            self._idle.append(process)
-        process = self._idle.pop()
+                self._all[self._all.index(process)] = _Process()
+        busy = set(self._busy.values())
+        process = next(process for process in self._all if process not in busy)
         future = process.submit(function, *arguments)
         self._busy[future] = process
         return future

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import pydantic
@@ -49,10 +49,15 @@ class Settings(BaseModel, metaclass=_OneLineErrors):
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
-    def unwritten(self) -> Collection[str]:
+    late: ClassVar[tuple[str, ...]] = ()
+    """Keys that came after the first datasets. They are not written with their default values, so that the
+    fingerprints of those datasets stay the same."""
+
+    def unwritten(self) -> list[str]:
         """Keys to leave out when the model is written: nobody gave them, and with them it could not be read again or
         would have another fingerprint."""
-        return ()
+        fields = type(self).model_fields
+        return [key for key in self.late if getattr(self, key) == fields[key].default]
 
     @model_serializer(mode="wrap")
     def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:

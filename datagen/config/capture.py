@@ -112,6 +112,7 @@ class CaptureConfig(Settings):
     """From where the scene puts the device to the laser, along x (ahead), y (left) and z (up)."""
     sensor_offset_m: Point | None = None
     """From where the scene puts the device to the sensor, likewise."""
+    late = ("device", "at_objects")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -126,10 +127,6 @@ class CaptureConfig(Settings):
         scan = self.scan
         own = isinstance(scan, GridScan) and (scan.width_m, scan.height_m, scan.center_m) != (None, None, None)
         return self.illumination == "flood" and isinstance(scan, GridScan) and not own and self.device is None
-
-    def unwritten(self) -> list[str]:
-        """Keys that came after the first datasets, unless given: so the fingerprints of those stay the same."""
-        return [name for name in ("device", "at_objects") if getattr(self, name) is None]
 
     @model_validator(mode="after")
     def _of_device(self) -> Self:

@@ -129,6 +129,7 @@ class DetectorConfig(Settings):
     """Relative bias that a cheaper sampler may cause; 0 demands the exact one."""
     approximate: bool = False
     """Allow approximations where the exact sampler or mean cannot be had."""
+    late = ("exposure_for", "found_for", "pulse", "tdc_edges_ps", "bins_merged", "dark_count_factors")
 
     @model_validator(mode="after")
     def _one_exposure(self) -> DetectorConfig:
@@ -144,11 +145,8 @@ class DetectorConfig(Settings):
         return self
 
     def unwritten(self) -> list[str]:
-        """Those of the keys that exclude each other, or came after the first datasets, that were not given."""
-        late = ("exposure_for", "found_for", "pulse", "tdc_edges_ps")
-        absent = [name for name in late if getattr(self, name) is None]
-        absent += ["bins_merged"] if self.bins_merged == 1 else []
-        absent += [] if self.dark_count_factors else ["dark_count_factors"]
+        """As of every model, and those of the keys that exclude each other that were not given."""
+        absent = super().unwritten()
         absent += ["pulse_fwhm_ps"] if self.pulse is not None else []
         absent += ["tdc_dnl", "tdc_period_bins"] if self.tdc_edges_ps is not None else []
         return absent if self.exposure_for is None else [*absent, "cycles"]

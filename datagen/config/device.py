@@ -67,10 +67,7 @@ class Zones(Settings):
     """Share of the light of all other zones that each zone receives, too."""
     aperture_radius_mm: Positive = 0.2
     """Radius of the round entrance aperture."""
-
-    def unwritten(self) -> tuple[str, ...]:
-        """The key that came after the first devices that datasets store, if it was not given."""
-        return () if self.dark_count_factors else ("dark_count_factors",)
+    late = ("dark_count_factors",)
 
     @property
     def count(self) -> int:
@@ -131,15 +128,11 @@ class Zones(Settings):
 
         folder : where the file `map` lies. Raises `InputError` where it cannot be read.
         """
-        weights: Floats | None
-        if self.map is not None:
-            extent, weights = _read_map(folder / self.map, self.count)
-            boxes = np.tile(_box_of(extent), (len(weights), 1))
-        else:
-            boxes = np.array(self.placed())
-            weights = np.array(self.weights) if self.weights else None
-            if self.blur > 0:
-                boxes, weights = _blurred(boxes, self.blur)
+        held = self.without_file(folder)
+        boxes, weights = np.array(held.placed()), np.array(held.weights) if held.weights else None
+        # Weights, those of a map too, say how the edges of a zone fade: a blur would do so again.
+        if weights is None and self.blur > 0:
+            boxes, weights = _blurred(boxes, self.blur)
         if self.gains:
             weights = np.ones((len(boxes), 1, 1)) if weights is None else weights
             weights = weights * np.array(self.gains)[:, None, None]
@@ -258,9 +251,9 @@ class DeviceConfig(Settings):
     folder: str = ""
     """Folder of the file that it was read from, where a map lies; not written."""
 
-    def unwritten(self) -> tuple[str, ...]:
+    def unwritten(self) -> list[str]:
         """`folder` depends on the machine."""
-        return ("folder",)
+        return ["folder"]
 
     @property
     def pairing(self) -> Pairing:

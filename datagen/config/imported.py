@@ -19,10 +19,7 @@ class ImportedFile(Settings):
     format: Literal["tal", "mat", "frames"]
     frames: Annotated[int, Field(ge=1)] | None = None
     """Of frames of a sensor: how many the file holds, each a scene. None: the file is one scene."""
-
-    def unwritten(self) -> list[str]:
-        """`frames` came after the first imports, whose fingerprints stay the same."""
-        return ["frames"] if self.frames is None else []
+    late = ("frames",)
 
 
 class ImportOptions(Settings):

@@ -97,6 +97,7 @@ class Item(SurfaceMaterial):
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
     they have it, which makes near, large and bright objects more frequent. Left out: no limit."""
 
+    late = ("evidence_at_least", "distance_m", "offset_m")
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
 
@@ -105,10 +106,6 @@ class Item(SurfaceMaterial):
         if self.name in RESERVED_NAMES:
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
         return self
-
-    def unwritten(self) -> list[str]:
-        """Keys that came after the first datasets, unless given: so the fingerprints of those stay the same."""
-        return [key for key in ("evidence_at_least", "distance_m", "offset_m") if getattr(self, key) is None]
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:

@@ -224,6 +224,7 @@ class IsolatedWall(Layout):
     """From the relay wall to the far side of the box that holds the objects; in_front alone."""
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
+    late = ("place",)
 
     @model_validator(mode="after")
     def _keys_of_its_place(self) -> Self:
@@ -249,9 +250,9 @@ class IsolatedWall(Layout):
         if support(self.device_height_m)[0] >= self._largest("height_m"):
             raise ValueError("device_height_m: no wall is higher than the device; lower it or raise height_m")
 
-    def unwritten(self) -> tuple[str, ...]:
+    def unwritten(self) -> list[str]:
         """The keys of the other place, and the usual place."""
-        return (*self._keys_of_the_other, *(("place",) if self.place == "beside" else ()))
+        return [*super().unwritten(), *self._keys_of_the_other]
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:

@@ -62,6 +62,6 @@ class TransportConfig(Settings):
         self.accuracy()
         return self
 
-    def unwritten(self) -> tuple[str, ...]:
+    def unwritten(self) -> list[str]:
         """The counts that a target chooses."""
-        return () if self.target is None else CHOSEN_BY_TARGET
+        return [] if self.target is None else [*CHOSEN_BY_TARGET]

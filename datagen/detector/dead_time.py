@@ -57,14 +57,13 @@ class Pieces(NamedTuple):
 
 
 def pieces_of(
-    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
-    piece_flux: float = PIECE_FLUX,
-) -> Pieces:  # fmt: skip
+    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False
+) -> Pieces:
     """The pieces of a period's bins. Bins longer than `width_s` are background, and are cut more finely.
 
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges. Raises `InputError` for too many pieces.
     """
-    count = _pieces_per_bin(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, piece_flux)
+    count = _pieces_per_bin(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, PIECE_FLUX)
     total = float(count.sum())
     if not total <= _MOST_PIECES:
         raise InputError(
@@ -122,19 +121,17 @@ def _cut_bins(flux: Floats, edges: Floats, count: Ints) -> tuple[Floats, Ints, F
     return pieces, bin_of, cut
 
 
-def synchronous_mean(
-    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, piece_flux: float = PIECE_FLUX
-) -> Floats:
+def synchronous_mean(flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float) -> Floats:
     """(…, n) expected detections per cycle and bin when every cycle starts armed.
 
-    flux, edges_s : (…, n) events per cycle and bin, (n + 1,) bin edges from 0 to the period; piece_flux : most events
-    in a piece. Raises `InputError` where that takes too many pieces.
+    flux, edges_s : (…, n) events per cycle and bin, (n + 1,) bin edges from 0 to the period. Raises `InputError`
+    where that takes too many pieces.
     """
     dead_time_s = min(dead_time_s, float(edges_s[-1]))
     rows = np.ascontiguousarray(flux).reshape(-1, flux.shape[-1])
     out = np.empty_like(rows)
     for row, own in enumerate(rows):
-        pieces = pieces_of(own, edges_s, width_s, dead_time_s, piece_flux=piece_flux)
+        pieces = pieces_of(own, edges_s, width_s, dead_time_s)
         none = np.zeros(len(pieces.flux) + 1)
         table = return_table(pieces.flux, pieces.edges, dead_time_s)
         out[row] = pieces.per_bin(run_cycle(table, 1.0, none, none.copy())[0], len(own))

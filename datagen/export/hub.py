@@ -151,10 +151,9 @@ def _thumbnail(scene: SceneContent) -> Floats:
 
 
 def _streaks(values: NDArray[Any]) -> Floats:
-    rows = values.reshape(-1, values.shape[-1]).astype(np.float64)
-    step = -(-rows.shape[1] // _THUMBNAIL)
-    padded = np.pad(rows[: 4 * _THUMBNAIL], ((0, 0), (0, -rows.shape[1] % step)))
-    return np.asarray(np.log1p(padded.reshape(len(padded), -1, step).sum(axis=2)))
+    rows = values.reshape(-1, values.shape[-1])[: 4 * _THUMBNAIL].astype(np.float64)
+    starts = np.arange(0, rows.shape[1], -(-rows.shape[1] // _THUMBNAIL))
+    return np.asarray(np.log1p(np.add.reduceat(rows, starts, axis=1)))
 
 
 def _png(image: NDArray[Any], colors: str) -> bytes:

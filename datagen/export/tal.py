@@ -21,32 +21,12 @@ from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time
 
-
-class HFormat(Enum):
-    """The axes of H: time, then laser points (L) and pixels (S), each as a grid (x, y) or a list (i)."""
-
-    UNKNOWN = 0
-    T_Sx_Sy = 1
-    T_Lx_Ly_Sx_Sy = 2
-    T_Si = 3
-    T_Li_Si = 4
-
-
-class GridFormat(Enum):
-    """The axes of points: list or grid."""
-
-    UNKNOWN = 0
-    N_3 = 1
-    X_Y_3 = 2
-
-
-class VolumeFormat(Enum):
-    """The axes of volumes: y-tal has deprecated the key, and refuses files without it."""
-
-    UNKNOWN = 0
-    N_3 = 1
-    X_Y_Z_3 = 2
-    X_Y_3 = 3
+HFormat = Enum("HFormat", "UNKNOWN T_Sx_Sy T_Lx_Ly_Sx_Sy T_Si T_Li_Si", start=0)
+"""The axes of H: time, then laser points (L) and pixels (S), each as a grid (x, y) or a list (i)."""
+GridFormat = Enum("GridFormat", "UNKNOWN N_3 X_Y_3", start=0)
+"""The axes of points: list or grid."""
+VolumeFormat = Enum("VolumeFormat", "UNKNOWN N_3 X_Y_Z_3 X_Y_3", start=0)
+"""The axes of volumes: y-tal has deprecated the key, and refuses files without it."""
 
 
 def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Volume labels of the hidden objects: occupancy and signed distance."""
+"""Grids of voxels over the hidden part, and the volume labels of its objects: occupancy and signed distance."""
 
 from __future__ import annotations
 
@@ -38,15 +38,24 @@ class VoxelGrid:
                 "labels 'occupancy' and 'sdf': this scene has no hidden_bounds, the box that holds the hidden part; "
                 "give Scene.from_parts(..., hidden_bounds=[[x0, y0, z0], [x1, y1, z1]])"
             )
-        frame = ViewFrame.of(scene)
-        corner = np.stack(np.meshgrid(*scene.hidden_bounds.T, indexing="ij"), axis=-1).reshape(8, 3)
-        in_view = frame.to_view(corner)
-        low, high = in_view.min(axis=0), in_view.max(axis=0)
-        if not (high - low > 0).all() or not np.isfinite(high - low).all():
+        grid = cls.around(ViewFrame.of(scene), scene.hidden_bounds, voxels)
+        if not (grid.high - grid.low > 0).all() or not np.isfinite(grid.high - grid.low).all():
             raise InputError(
                 f"Scene.hidden_bounds = {scene.hidden_bounds.tolist()}: must span a volume in all three directions"
             )
-        return cls(frame, low, high, voxels)
+        return grid
+
+    @classmethod
+    def around(cls, frame: ViewFrame, bounds: Floats, shape: tuple[int, int, int]) -> VoxelGrid:
+        """The grid of the smallest box along the frame's axes that holds the box `bounds` (2, 3) of the scene."""
+        corners = frame.to_view(np.stack(np.meshgrid(*bounds.T, indexing="ij"), axis=-1).reshape(8, 3))
+        return cls(frame, corners.min(axis=0), corners.max(axis=0), shape)
+
+    @classmethod
+    def behind_images(cls, frame: ViewFrame, bounds: Floats, shape: tuple[int, int, int]) -> VoxelGrid:
+        """The grid behind the label images, with their width and height, and as deep as the hidden part."""
+        half, far = (frame.half_width_m, frame.half_height_m), cls.around(frame, bounds, shape).high[2]
+        return cls(frame, np.array([-half[0], -half[1], 0.0]), np.array([*half, far]), shape)
 
     @property
     def voxel_m(self) -> Floats:
@@ -60,11 +69,17 @@ class VoxelGrid:
         return np.stack([share[..., 0] * columns, (1 - share[..., 1]) * rows, share[..., 2] * layers], axis=-1)
 
     @property
+    def depths(self) -> Floats:
+        """(depth,) middles of the layers, metres."""
+        share = (np.arange(self.shape[0]) + 0.5) / self.shape[0]
+        return np.asarray(self.low[2] + share * (self.high[2] - self.low[2]))
+
+    @property
     def centers(self) -> Floats:
-        """(depth, row, column, 3) world positions of the voxel centres, metres."""
+        """(depth, row, column, 3) middles of the voxels in the label frame, metres."""
         depth, row, column = ((np.arange(n) + 0.5) / n for n in self.shape)
         z, y, x = np.meshgrid(depth, 1 - row, column, indexing="ij")
-        return self.frame.to_world(self.low + np.stack([x, y, z], axis=-1) * (self.high - self.low))
+        return self.low + np.stack([x, y, z], axis=-1) * (self.high - self.low)
 
 
 def object_surfaces(scene: Scene) -> list[ConnectedSurface]:

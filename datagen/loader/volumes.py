@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.labels.frame import ViewFrame
+from datagen.labels.volumes import VoxelGrid
 from datagen.loader.crops import Crops
 from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
-from datagen.reconstruction.grid import HiddenGrid
+from datagen.records import Rectangle
 from datagen.records.checks import shown
 from datagen.store import Manifest
 
@@ -67,6 +69,6 @@ class Volumes:
                     f"representation = 'volume': scene {scenes[row]} has no hidden_view and hidden_bounds; give them "
                     "to Scene.from_parts, or take another representation"
                 )
-            grid = HiddenGrid.behind_images(view, bounds, self.shape)
+            grid = VoxelGrid.behind_images(ViewFrame.about(Rectangle(*view)), bounds, self.shape)
             volumes[row] = backprojected_volume(scan_of(histograms, where, self._capture, self._time), grid)
         return volumes

@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_laplace
 
 from datagen.compiled import compiled, subroutine
-from datagen.reconstruction.grid import HiddenGrid, label_frame
-from datagen.records import TimeAxis
+from datagen.labels.frame import ViewFrame
+from datagen.labels.volumes import VoxelGrid
+from datagen.records import Rectangle, TimeAxis
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.units import time_from_path
 
@@ -65,7 +66,7 @@ def scan_of(
     counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : the section `capture` of
     the configuration. time : the bins of `counts`.
     """
-    to_frame = label_frame(geometry["hidden_view"])
+    to_frame = ViewFrame.about(Rectangle(*geometry["hidden_view"])).to_view
     lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_pixels"].mean(axis=-2))
     signal: Floats = counts.astype(np.float64)
     if capture["pairing"] == "confocal":
@@ -117,14 +118,14 @@ def _in_bins(points: Floats, scan: Scan) -> NDArray[np.float32]:
     return np.ascontiguousarray((points / scan.bin_m).T, np.float32)
 
 
-def backprojected_volume(scan: Scan, grid: HiddenGrid) -> Floats:
+def backprojected_volume(scan: Scan, grid: VoxelGrid) -> Floats:
     """(depth, row, column) the sum B on a grid, divided by the root of the number of histograms, so that noise alone
     has a standard deviation of about 1."""
     total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
     return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
 
 
-def reconstructed(scan: Scan, grid: HiddenGrid) -> Floats:
+def reconstructed(scan: Scan, grid: VoxelGrid) -> Floats:
     """(depth, row, column) filtered backprojection on a grid: minus the Laplacian of a Gaussian of one voxel,
     negative values set to 0."""
     return np.asarray(np.maximum(-gaussian_laplace(backprojected_volume(scan, grid), 1.0), 0.0))

@@ -118,8 +118,8 @@ def _scan(again: Replay) -> dict[str, Any]:
     first, last = np.searchsorted(time.edges_s * 1e9, [low, high])
     first, last = max(int(first) - 1, 0), min(max(int(last), 1), time.bins)
     step = max(1, -(-(last - first) // MOST_BINS))
-    bins = -(-(last - first) // step)
-    binned = {name: _summed(values[..., first:last], step) for name, values in grids.items()}
+    starts = np.arange(first, last, step)
+    binned = {name: np.add.reduceat(values[..., :last], starts, axis=-1) for name, values in grids.items()}
     highest, colors = max(float(values.max()) for values in binned.values()) or 1.0, part_colors(again.scene)
     curves = [
         {
@@ -130,8 +130,9 @@ def _scan(again: Replay) -> dict[str, Any]:
         for name, values in binned.items()
     ]
     return {
-        "rows": whole.shape[0], "columns": whole.shape[1], "bins": bins, "decades": DECADES, "highest": highest,
-        "start_ns": float(time.edges_s[first] * 1e9), "width_ns": step * time.width_s * 1e9, "curves": curves,
+        "rows": whole.shape[0], "columns": whole.shape[1], "bins": len(starts), "decades": DECADES,
+        "highest": highest, "start_ns": float(time.edges_s[first] * 1e9), "width_ns": step * time.width_s * 1e9,
+        "curves": curves,
     }  # fmt: skip
 
 
@@ -143,12 +144,6 @@ def _layers(again: Replay, total: Floats) -> Mapping[str, Floats]:
         return {"all light": total}
     rest = np.maximum(total - np.sum([*chosen.values()], axis=0), 0.0)
     return {"all light": total, **chosen, "the rest": rest}
-
-
-def _summed(values: Floats, step: int) -> Floats:
-    short = -values.shape[-1] % step
-    padded = np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, short)])
-    return np.asarray(padded.reshape(*padded.shape[:-1], -1, step).sum(axis=-1))
 
 
 def _bytes(values: Floats) -> str:

@@ -17,6 +17,7 @@ from datagen.records.checks import check_kind
 from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import Truth, read_truth
+from datagen.store.files import finite
 from datagen.store.summaries import LEAST
 from datagen.store.verify import dataset_digest
 from datagen.suites import suite_of
@@ -72,10 +73,7 @@ class Scores:
 
     def json(self) -> str:
         """The scores as JSON; NaN becomes null."""
-        values = asdict(self)
-        for part in ("all", "with_evidence"):
-            values[part] = {name: None if np.isnan(value) else value for name, value in values[part].items()}
-        return json.dumps(values, indent=1)
+        return json.dumps(finite(asdict(self)), indent=1)
 
 
 def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split: str = "test") -> Scores:

@@ -39,6 +39,7 @@ SCHEMA_VERSIONS = {
     19: "datagen 0.20: with a target other light of meshes and faint objects; axis transient_bin, field zone_depth",
     20: "datagen 0.21: with a target other light of meshes",
     21: "datagen 0.22: with a target other light of pixels at edges and on bent surfaces, and of scans",
+    22: "datagen 0.23: with a target other light of meshes and narrow lobes",
 }
 """Version of the stored format → the release that introduced it, and how its files, or the scenes of a seed, differ
 from those of the version before (CHANGELOG.md has the details). All versions are read; only the last is written.

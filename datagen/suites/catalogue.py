@@ -30,7 +30,7 @@ PINNED = FOLDER / "digests.json"
 class Suite:
     """A benchmark suite.
 
-    name : its name with the version, such as `letters-9`. The bytes of a name never change.
+    name : its name with the version, such as `letters-10`. The bytes of a name never change.
     digest : hex SHA-256 of all its values as published (`datagen digest`).
     """
 
@@ -128,7 +128,7 @@ def build_suite(name: str, path: str | Path, workers: int = 1, *, progress: bool
 
     Parameters
     ----------
-    name : such as `letters-9`; `datagen suite` lists all names.
+    name : such as `letters-10`; `datagen suite` lists all names.
     path : the folder of the dataset, new or to be resumed.
     workers, progress : as for `build`; the bytes do not depend on them.
 

@@ -124,8 +124,10 @@ def aim(
     for own in np.flatnonzero(has_guess):
         of = np.flatnonzero(part == own)
         found = guess[:, of] @ caster.face_area_m2[faces[of]]
-        share = guess[:, of] * np.divide(area[own], found, out=np.zeros_like(found), where=found > 0)[:, None]
-        evenly = np.where(found > 0, EVENLY, 1.0)[:, None]
+        # By the far tail of a lobe light may be too little to divide by.
+        lit = found > area[own] * np.finfo(np.float64).tiny
+        share = guess[:, of] * np.divide(area[own], found, out=np.zeros_like(found), where=lit)[:, None]
+        evenly = np.where(lit, EVENLY, 1.0)[:, None]
         guess[:, of] = per_area[own] * (evenly + (1 - EVENLY) * share)
     return Aim.of(per_area[scene.face_part], caster.face_area_m2, faces, guess)
 

@@ -16,9 +16,9 @@ from datagen.baselines.predict import centers_of, mean_of_training
 from datagen.baselines.scenes import SuiteScenes
 from datagen.cli import run
 from datagen.config import config_from_mapping
+from datagen.labels.frame import ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import reconstructed, scan_of
-from datagen.reconstruction.grid import HiddenGrid
 from datagen.units import time_from_path
 
 POINT = np.array([0.3, -0.2, 0.9])
@@ -59,7 +59,7 @@ def scene(kind: str, origin: str) -> Any:
 @pytest.mark.parametrize("kind", ["confocal", "single", "flood"])
 def test_a_point_is_found(kind: str, origin: str) -> None:
     bounds = VIEW[0] + np.array([[0, -1, -1], [1.6, 1, 1]])
-    grid = HiddenGrid.behind_images(VIEW, bounds, (32, 40, 40))
+    grid = VoxelGrid.behind_images(ViewFrame.about(dg.Rectangle(*VIEW)), bounds, (32, 40, 40))
     of = scene(kind, origin)
     scan = scan_of(of.arrays["histogram"], of.arrays, of.manifest.config["capture"], of.time)
     volume = reconstructed(scan, grid)
@@ -68,14 +68,16 @@ def test_a_point_is_found(kind: str, origin: str) -> None:
     assert np.abs(found - POINT).max() < 0.1
 
 
-def test_grids_are_those_of_the_labels() -> None:
+def test_depths_are_those_of_the_voxels() -> None:
+    """The grid behind the images is as wide and high as these, and as deep as that of the volumes."""
     config = config_from_mapping({"scene": {"layout": {"kind": "l_corridor"}}})
     room = dg.generate_scene(config.scene, 3, 0)
-    assert room.hidden_view is not None and room.hidden_bounds is not None
-    view = np.stack([room.hidden_view.center, room.hidden_view.right, room.hidden_view.up])
-    labels, ours = VoxelGrid.of(room, (3, 4, 5)), HiddenGrid.of_volumes(view, room.hidden_bounds, (3, 4, 5))
-    assert np.allclose(labels.frame.to_view(labels.centers), ours.centers)
-    assert np.allclose(ours.depths, ours.centers[:, 0, 0, 2])
+    assert room.hidden_bounds is not None
+    grid = VoxelGrid.of(room, (3, 4, 5))
+    assert np.allclose(grid.depths, grid.centers[:, 0, 0, 2])
+    behind = VoxelGrid.behind_images(grid.frame, room.hidden_bounds, (3, 4, 5))
+    half = [grid.frame.half_width_m, grid.frame.half_height_m]
+    assert np.allclose([behind.low, behind.high], [[-half[0], -half[1], 0], [*half, grid.high[2]]])
 
 
 def made(count: int, seed: int) -> SuiteScenes:

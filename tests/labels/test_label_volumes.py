@@ -37,7 +37,8 @@ def ball(radius: float = 0.8, center: tuple[float, float, float] = (4.5, 2.4, 1.
 
 
 def centers(scene: Scene) -> np.ndarray:
-    return VoxelGrid.of(scene, CONFIG.voxels).centers
+    grid = VoxelGrid.of(scene, CONFIG.voxels)
+    return grid.frame.to_world(grid.centers)
 
 
 def box_distance(points: np.ndarray, size: np.ndarray, center: np.ndarray) -> np.ndarray:

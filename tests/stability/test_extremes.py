@@ -129,3 +129,12 @@ def test_light_that_never_fades_keeps_its_weight() -> None:
     accuracy = Accuracy(4096, 4, None, 8)
     errors = [simulate(room, capture, accuracy, seed=seed, split_parts=False).relative_error for seed in range(8)]
     assert max(errors) < 1.1 * np.median(errors)
+
+
+def test_light_by_the_far_tail_of_a_lobe_is_not_divided_by() -> None:
+    """A plate that two lobes of a wall light with 1e-316 of what they send elsewhere."""
+    plate = rectangle((1.5, -0.2, 0.3), (0.3, 0, 0), (0, 0.3, 0))
+    glossy = replace(WALL, material=Phong(0.5, 788.0, 1.0))
+    scene = Scene.from_parts([glossy, Part("plate", plate, Lambertian(0.5))])
+    result = simulate(scene, one_point_capture(half_side_m=0.01), Accuracy(target=0.5), seed=1)
+    assert np.isfinite(result.total).all() and 0 < energy(result) < 1e-250

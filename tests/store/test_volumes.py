@@ -13,6 +13,8 @@ from torch.utils.data import DataLoader, Subset
 import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
+from datagen.labels.frame import ViewFrame
+from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import (
     BLOCK,
     GEOMETRY,
@@ -22,7 +24,6 @@ from datagen.reconstruction.backprojection import (
     scan_of,
     whitened,
 )
-from datagen.reconstruction.grid import HiddenGrid
 from datagen.store.scenes import Scenes
 
 VOXELS = (5, 6, 7)
@@ -79,7 +80,8 @@ def test_noise_alone_has_a_standard_deviation_of_one() -> None:
     for all 12 places together."""
     rng, draws = np.random.default_rng(5), 1000
     scan = random_scan(rng, 64, 1, 200, confocal=True)
-    grid = HiddenGrid(np.array([-0.5, -0.5, 0.4]), np.array([0.5, 0.5, 1.4]), (3, 2, 2))
+    frame = ViewFrame(np.zeros(3), np.eye(3), 1.0, 1.0)
+    grid = VoxelGrid(frame, np.array([-0.5, -0.5, 0.4]), np.array([0.5, 0.5, 1.4]), (3, 2, 2))
     counts = rng.poisson(6.0, (draws, *scan.signal.shape)).astype(float)
     values = []
     for one in counts:
@@ -117,7 +119,9 @@ def test_a_scene_without_a_view_is_refused(dataset: Path) -> None:
 
 def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
     where = {name: arrays[name].astype(float) for name in GEOMETRY}
-    grid = HiddenGrid.behind_images(where["hidden_view"], where["hidden_bounds"], VOXELS)
+    grid = VoxelGrid.behind_images(
+        ViewFrame.about(dg.Rectangle(*where["hidden_view"])), where["hidden_bounds"], VOXELS
+    )
     return torch.from_numpy(backprojected_volume(scan_of(counts, where, capture, time), grid)).float()
 
 

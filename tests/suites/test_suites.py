@@ -101,10 +101,10 @@ def test_the_command_lists_and_refuses(capsys: pytest.CaptureFixture[str], tmp_p
     assert all(name in listed and parse_yaml(suite.path.read_text(), "")["description"] in listed
                for name, suite in SUITES.items())  # fmt: skip
     for arguments, piece in (
-        (["suite", "leters-1", str(tmp_path / "x")], "no such suite; did you mean 'letters-9'?"),
-        (["suite", "zzz"], "no such suite; there are letters-9"),
-        (["suite", "letters-9"], "missing argument 'OUT'"),
-        (["suite", "letters-9", str(tmp_path / "x"), "--workers", "0"], "--workers 0: must be ≥ 1"),
+        (["suite", "leters-1", str(tmp_path / "x")], "no such suite; did you mean 'letters-10'?"),
+        (["suite", "zzz"], "no such suite; there are letters-10"),
+        (["suite", "letters-10"], "missing argument 'OUT'"),
+        (["suite", "letters-10", str(tmp_path / "x"), "--workers", "0"], "--workers 0: must be ≥ 1"),
     ):
         assert run(arguments) == 2
         err = capsys.readouterr().err

@@ -15,6 +15,7 @@ from datagen.transport.fields_of_view import PixelPatches
 from datagen.transport.path_tracing.averages import Average, path_average
 from datagen.transport.path_tracing.replicate_spread import Sketch
 from datagen.transport.problem import Problem
+from datagen.transport.quadrature.gathering import lobe_width
 
 CONVERGENCE = 1.25
 """α in variance ∝ n^−α, from which the size of a round follows: 1 for independent samples, up to 3 for smooth
@@ -33,6 +34,10 @@ SCARCE, NOTHING_AFTER = 32, 1 << 16
 """Vertices that could bring light up to which the scatter of a stratum says nothing of its error (half of it claims
 too little error where paths with light are rare); and samples after which their light is taken to be all there is.
 Half of the second misses light that is up to twice as frequent."""
+PER_LOBE = 4.0
+"""Fewest samples of a laser point, in units of 1/width² of the narrowest lobe: about one path in 1/width² has the
+direction that the lobe sends on, and all light of a laser point may come by that path. With half of it, one laser
+point in seven has not met that light when its error is claimed."""
 USUAL_FOV_SAMPLES, USUAL_CONNECTIONS = 4, 16
 """FoV points that a vertex connects to in a pixel whose patch is larger, and most of them over all pixels. With half
 as many, the same light takes more rays; with twice as many, vertices connect to points that add no information."""
@@ -112,12 +117,14 @@ class Stratum:
 
     @property
     def scarcely_met(self) -> bool:
-        """Whether path tracing has met so few vertices that could bring light that their scatter says nothing of the
-        error."""
+        """Whether path tracing has met so few vertices that could bring light, or so few in the narrowest lobe, that
+        their scatter says nothing of the error."""
         if self.observed is not None or self.problem.tally_rows.components == ("direct",):
             return False
         connections = self.problem.capture.shape[1] * int(self.problem.accuracy.fov_samples)
-        return self.work.bright <= SCARCE * connections and not self.searched
+        narrowest = min(lobe_width(material) for material in self.problem.scene.materials)
+        few = self.work.bright <= SCARCE * connections or self.samples < PER_LOBE / narrowest**2
+        return few and not self.searched
 
     @property
     def cost_per_sample(self) -> float:

@@ -32,8 +32,8 @@ for that (half as many may miss the largest pixel); and size, relative to the sc
 which a pixel counts as a point and is not quartered (half of it quarters pixels in vain)."""
 RAY_FOOTPRINT = 0.4
 """Largest footprint that one connection with the hit of a ray stands for, relative to its distance from there and to
-the square root of the error asked of an object's light. With twice as much, light of a large pixel beside a mesh
-arrives at times that are 9 % off."""
+the square root of the product of the error asked of an object's light and the narrowest lobe on the way, rad. With
+twice as much, light of a large pixel beside a mesh arrives at times that are 9 % off."""
 EDGE_LEVELS, MOST_AT_EDGES = range(2, 6), 1 << 14
 """Times that pixels which see more than one surface may be quartered in the first trial, and most footprints of all
 such pixels together, which decides between them. Errors of one pixel's footprints average out over many pixels, so
@@ -210,11 +210,15 @@ class Gathering:
     def by_rays(self) -> Bools:
         """(K,) whether the light of each part comes by rays (`mesh_rays.py`): that of meshes of many triangles,
         unless a lobe on the path is narrow."""
-        scene, sharp = self.task.scene, 1.0 / self.width**2
-        # Any surface but an object may hold a laser point or a pixel.
-        ends = np.array([role != "object" for role in scene.roles])
-        sharpest = np.maximum(sharp, sharp[ends].max(initial=1.0))
-        return np.asarray((np.bincount(scene.face_part, minlength=len(sharp)) >= TRIANGLES) & (sharpest <= SHARPEST))
+        sharp = 1.0 / self.width**2
+        sharpest = np.maximum(sharp, sharp[self.ends].max(initial=1.0))
+        triangles = np.bincount(self.task.scene.face_part, minlength=len(sharp))
+        return np.asarray((triangles >= TRIANGLES) & (sharpest <= SHARPEST))
+
+    @property
+    def ends(self) -> Bools:
+        """(K,) which parts may hold a laser point or a pixel: any but objects."""
+        return np.array([role != "object" for role in self.task.scene.roles])
 
     @cached_property
     def outlines(self) -> Outlines:
@@ -224,7 +228,9 @@ class Gathering:
     @property
     def ray_footprint(self) -> float:
         """Largest footprint that the hit of a ray is connected with, relative to its distance."""
-        return RAY_FOOTPRINT * math.sqrt(self.task.accuracy.each_part)
+        # Within a footprint light and arrival time are taken as independent, which a lobe makes wrong.
+        narrowest = float(self.width[self.by_rays | self.ends].min(initial=1.0))
+        return RAY_FOOTPRINT * math.sqrt(self.task.accuracy.each_part * narrowest)
 
     def ray_levels(self) -> int:
         """Times that pixels must be quartered so that footprints as small as `ray_footprint` have quarters, of which
