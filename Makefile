@@ -15,7 +15,7 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types digests hard-cases bench bench-scaling \
+.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types hard-cases bench bench-scaling \
 	bench-detector bench-loaders bench-forecasts bench-evidence bench-foreign bench-targets peers wheel clean
 
 help:
@@ -100,10 +100,6 @@ nightly: setup
 
 cpu-types: setup
 	$(BIN)/python tests/cpu_types.py
-
-# After light or noise of a seed changed by intention; for rooms, see the script.
-digests: setup
-	$(BIN)/python tests/small_configs.py
 
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py

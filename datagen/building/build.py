@@ -240,7 +240,7 @@ def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
     if goal is None or not (root / MANIFEST).is_file():
         return with_exposure_found(config)
     try:
-        stored = store.read_manifest(root).config.get("detector", {})
+        stored = store.read_manifest(root).config["detector"]
     except DamagedManifest:
         return with_exposure_found(config)
     if stored.get("found_for") != goal.model_dump(mode="json"):
@@ -270,7 +270,7 @@ def _check_arguments(config: object, path: object, scene_seconds: float | None, 
 def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
     """Refuse to resume if shards were made with versions, or on an architecture, that may give other bytes."""
     for record in records:
-        for difference in mixed([record.environment, made_with()]):
+        for difference in mixed([record.made_by, made_with()]):
             raise InputError(
                 f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
                 "promised for one architecture and one set of versions (constraints.txt): use those, "

@@ -98,16 +98,13 @@ class Given:
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
         faces = s.relay_wall, s.hidden_view
         views = [face and [v.tolist() for v in (face.center, face.right, face.up)] for face in faces]
-        sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture
+        sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture, c.sensor.crosstalk
         hashed = hashlib.sha256(repr((values, poses, views, sight)).encode())
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
-        for array in [*arrays, c.laser.position, c.laser.targets, c.sensor.position, c.sensor.pixels]:
+        arrays += [c.laser.position, c.laser.targets, c.laser.weights, c.laser.cells]
+        arrays += [c.sensor.position, c.sensor.pixels, c.sensor.footprints, c.sensor.glass, c.sensor.delays_s]
+        for array in arrays:
             hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
-        # What only beams and zones have, so that the digests of other captures stay the same.
-        beam = c.laser.weights, c.laser.cells, c.sensor.footprints, c.sensor.glass, c.sensor.delays_s
-        for key, array in zip(("weights", "cells", "footprints", "glass", "delays"), beam, strict=True):
-            hashed.update(b"" if array is None else f"{key}{array.shape}".encode() + array.tobytes())
-        hashed.update(repr(c.sensor.crosstalk).encode() if c.sensor.crosstalk else b"")
         return hashed.hexdigest()
 
 

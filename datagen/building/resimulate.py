@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+from datagen._version import __version__
 from datagen.building.engines import started
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
@@ -11,7 +12,6 @@ from datagen.pipeline import simulate_sample
 from datagen.store import Schema, committed, read_manifest
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Location, location_of
-from datagen.store.schema import SCHEMA_VERSION
 from datagen.store.shard import digest, encoded
 
 
@@ -24,17 +24,17 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
 
     Raises
     ------
-    InputError : no dataset, another schema version, `scenes` < 1, or a mesh file is gone.
+    InputError : no dataset, one of another version of datagen, `scenes` < 1, or a mesh file is gone.
     CheckError : no scene of the dataset is there.
     """
     root = location_of(path)
     if scenes < 1:
         raise InputError(f"--resimulate {scenes}: must be ≥ 1")
     manifest = read_manifest(root)
-    if manifest.schema_version != SCHEMA_VERSION:
+    if manifest.made_by["datagen"] != __version__:
         raise InputError(
-            f"{root}: of schema version {manifest.schema_version}, and this datagen makes other scenes of the same "
-            f"seed (version {SCHEMA_VERSION}); use the version of datagen that made it"
+            f"{root}: made by datagen {manifest.made_by['datagen']}, and this is {__version__}, which may make other "
+            "scenes of the same seed; use the version that made it"
         )
     config = manifest.parsed_config()
     made = {
@@ -54,7 +54,7 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
             again = running.submit(_digests, config, manifest.schema, index).result()
             fields = [name for name, due in scene.digests.items() if again[name] != due]
             if fields:
-                why = "; ".join(mixed([record.environment, made_with()]))
+                why = "; ".join(mixed([record.made_by, made_with()], also=("processor",)))
                 made_otherwise = f" (what it was made with differs: {why})" if why else ""
                 problems.append(f"scene {index}: simulated again, {', '.join(fields)} differ{made_otherwise}")
     return chosen, problems

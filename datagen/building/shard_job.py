@@ -99,7 +99,7 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         # lost.
         if record is None or (record.failures and record.finished <= job.handed_out):
             samples = _samples(job, running) if record is None else _with_failed_retried(job, record, running)
-            made_by = made_with() if record is None else together(record.environment, made_with())
+            made_by = made_with() if record is None else together(record.made_by, made_with())
             if samples is not None:
                 where = (job.root, job.schema, job.shard, job.fingerprint)
                 record = write_shard(*where, samples, made_by, job.begun)
@@ -111,7 +111,7 @@ def run_shard(job: ShardJob) -> dict[int, str]:
 def _committed(job: ShardJob) -> ShardRecord | None:
     """The record of the shard if it is sound and its environment is accepted; else None."""
     for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
-        alike = job.made_with is None or not mixed([record.environment, made_with()])
+        alike = job.made_with is None or not mixed([record.made_by, made_with()])
         if record.fingerprint == job.fingerprint and alike:
             return record
     return None

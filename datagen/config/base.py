@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, model_serializer
+from pydantic import BaseModel, ConfigDict
 
 from datagen.errors import InputError
 
@@ -49,21 +49,14 @@ class Settings(BaseModel, metaclass=_OneLineErrors):
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
-    late: ClassVar[tuple[str, ...]] = ()
-    """Keys that came after the first datasets. They are not written with their default values, so that the
-    fingerprints of those datasets stay the same."""
+    def changed(self, *keys: str) -> list[str]:
+        """Those of the keys whose value is not the default.
 
-    def unwritten(self) -> list[str]:
-        """Keys to leave out when the model is written: nobody gave them, and with them it could not be read again or
-        would have another fingerprint."""
+        Keys that exclude each other are compared by this: a dataset's own configuration has every key, and must be
+        readable again.
+        """
         fields = type(self).model_fields
-        return [key for key in self.late if getattr(self, key) == fields[key].default]
-
-    @model_serializer(mode="wrap")
-    def _as_given(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values: dict[str, Any] = written(self)
-        absent = self.unwritten()
-        return {key: value for key, value in values.items() if key not in absent} if absent else values
+        return [key for key in keys if getattr(self, key) != fields[key].default]
 
 
 def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> None:

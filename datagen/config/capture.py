@@ -112,7 +112,6 @@ class CaptureConfig(Settings):
     """From where the scene puts the device to the laser, along x (ahead), y (left) and z (up)."""
     sensor_offset_m: Point | None = None
     """From where the scene puts the device to the sensor, likewise."""
-    late = ("device", "at_objects")
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -129,27 +129,18 @@ class DetectorConfig(Settings):
     """Relative bias that a cheaper sampler may cause; 0 demands the exact one."""
     approximate: bool = False
     """Allow approximations where the exact sampler or mean cannot be had."""
-    late = ("exposure_for", "found_for", "pulse", "tdc_edges_ps", "bins_merged", "dark_count_factors")
 
     @model_validator(mode="after")
     def _one_exposure(self) -> DetectorConfig:
-        if self.exposure_for is not None and "cycles" in self.model_fields_set:
+        if self.exposure_for is not None and self.changed("cycles"):
             raise ValueError("cycles and exposure_for are both given, and each sets the exposure; leave one out")
         if self.found_for is not None and (self.exposure_for is not None or "cycles" not in self.model_fields_set):
             raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
-        if self.pulse is not None and "pulse_fwhm_ps" in self.model_fields_set:
+        if self.pulse is not None and self.changed("pulse_fwhm_ps"):
             raise ValueError("pulse and pulse_fwhm_ps are both given, and each is the laser's pulse; leave one out")
-        for drawn in ("tdc_dnl", "tdc_period_bins") if self.tdc_edges_ps is not None else ():
-            if drawn in self.model_fields_set:
-                raise ValueError(f"{drawn} and tdc_edges_ps are both given, and each sets the bins; leave one out")
+        if self.tdc_edges_ps is not None and (drawn := self.changed("tdc_dnl", "tdc_period_bins")):
+            raise ValueError(f"{drawn[0]} and tdc_edges_ps are both given, and each sets the bins; leave one out")
         return self
-
-    def unwritten(self) -> list[str]:
-        """As of every model, and those of the keys that exclude each other that were not given."""
-        absent = super().unwritten()
-        absent += ["pulse_fwhm_ps"] if self.pulse is not None else []
-        absent += ["tdc_dnl", "tdc_period_bins"] if self.tdc_edges_ps is not None else []
-        return absent if self.exposure_for is None else [*absent, "cycles"]
 
     def of_device(self, device: DeviceConfig) -> DetectorConfig:
         """These settings, with the device's numbers for all that is not given.

@@ -67,7 +67,6 @@ class Zones(Settings):
     """Share of the light of all other zones that each zone receives, too."""
     aperture_radius_mm: Positive = 0.2
     """Radius of the round entrance aperture."""
-    late = ("dark_count_factors",)
 
     @property
     def count(self) -> int:
@@ -248,12 +247,8 @@ class DeviceConfig(Settings):
     counting: Counting
     sources: dict[str, str] = Field(default_factory=dict)
     """Key (or section) → where its numbers come from; an estimate begins with `estimate`."""
-    folder: str = ""
-    """Folder of the file that it was read from, where a map lies; not written."""
-
-    def unwritten(self) -> list[str]:
-        """`folder` depends on the machine."""
-        return ["folder"]
+    folder: Annotated[str, Field(exclude=True)] = ""
+    """Folder of the file that it was read from, where a map lies; not written, as it depends on the machine."""
 
     @property
     def pairing(self) -> Pairing:

@@ -19,7 +19,6 @@ class ImportedFile(Settings):
     format: Literal["tal", "mat", "frames"]
     frames: Annotated[int, Field(ge=1)] | None = None
     """Of frames of a sensor: how many the file holds, each a scene. None: the file is one scene."""
-    late = ("frames",)
 
 
 class ImportOptions(Settings):

@@ -97,7 +97,6 @@ class Item(SurfaceMaterial):
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
     they have it, which makes near, large and bright objects more frequent. Left out: no limit."""
 
-    late = ("evidence_at_least", "distance_m", "offset_m")
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
 
@@ -110,9 +109,7 @@ class Item(SurfaceMaterial):
     @model_validator(mode="after")
     def _one_place(self) -> Self:
         for share, metres in (("along", "distance_m"), ("across", "offset_m")):
-            # A stored configuration has all keys, so a key counts as given where it differs from its default.
-            given = getattr(self, share) != type(self).model_fields[share].default
-            if getattr(self, metres) is not None and given:
+            if getattr(self, metres) is not None and self.changed(share):
                 raise ValueError(f"{share} and {metres}: both say where the object stands; leave one of them out")
         return self
 

@@ -224,13 +224,11 @@ class IsolatedWall(Layout):
     """From the relay wall to the far side of the box that holds the objects; in_front alone."""
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
-    late = ("place",)
 
     @model_validator(mode="after")
     def _keys_of_its_place(self) -> Self:
-        for name in self._keys_of_the_other:
-            if name in self.model_fields_set:
-                raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
+        for name in self.changed(*self._keys_of_the_other):
+            raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
         return self
 
     def _check_limits(self) -> None:
@@ -249,10 +247,6 @@ class IsolatedWall(Layout):
             )
         if support(self.device_height_m)[0] >= self._largest("height_m"):
             raise ValueError("device_height_m: no wall is higher than the device; lower it or raise height_m")
-
-    def unwritten(self) -> list[str]:
-        """The keys of the other place, and the usual place."""
-        return [*super().unwritten(), *self._keys_of_the_other]
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:

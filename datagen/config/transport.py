@@ -56,12 +56,7 @@ class TransportConfig(Settings):
         if self.part_target is not None and self.target is None:
             raise InputError(f"part_target = {self.part_target}: needs a target; set target, too")
         if self.target is not None:
-            for name in CHOSEN_BY_TARGET:
-                if name in self.model_fields_set:
-                    raise InputError(chosen_by_target("", name, getattr(self, name)))
+            for name in self.changed(*CHOSEN_BY_TARGET):
+                raise InputError(chosen_by_target("", name, getattr(self, name)))
         self.accuracy()
         return self
-
-    def unwritten(self) -> list[str]:
-        """The counts that a target chooses."""
-        return [] if self.target is None else [*CHOSEN_BY_TARGET]

@@ -18,7 +18,7 @@ from datagen.forecast.forecast import Forecast, Outcome, forecast, outcomes, rec
 from datagen.forecast.pilots import run_pilots, startup_seconds
 from datagen.store import Schema, schema_of
 from datagen.store.card import readable
-from datagen.store.environment import cores, environment, hardware
+from datagen.store.environment import cores, made_with
 from datagen.store.files import finite, json_bytes, write_atomically
 from datagen.store.summaries import evidence_lines
 
@@ -83,8 +83,8 @@ def plan(
             "fingerprint": config.fingerprint(),
             "forecast": expected.as_json(),
             "against": [finite(asdict(row)) for row in compared],
-            "machine": hardware(),
-            "versions": environment(),
+            "cores": cores(),
+            "made_by": made_with(),
         }
         write_atomically(Path(json_path), json_bytes(values))
     return plan_text(config, expected, compared)

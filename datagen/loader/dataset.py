@@ -31,7 +31,6 @@ from datagen.store import DatasetReader, Manifest, committed, read_manifest
 from datagen.store.location import Bucket, location_of
 from datagen.store.reader import Part
 from datagen.store.record import recorded_shards
-from datagen.store.schema import EVIDENCE_SINCE, SPLITS_SINCE
 from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
 from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
 
@@ -274,8 +273,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """Field → `mean` and `std` of its values in all scenes of this dataset (with `split`: of the split), of a
         histogram those of log(1 + counts); and `nonzero`, the fraction of values that are not 0. It has the
         histograms, as stored (not as drawn anew), and the labels that are quantities."""
-        if self._manifest.schema_version < SPLITS_SINCE:
-            raise InputError(f"stats: {self.path} is of an earlier schema version, which has none; build it anew")
         columns = [
             f"stats.{name}.{quantity}" for name in WITH_STATS if name in self.fields for quantity in QUANTITIES
         ]
@@ -293,7 +290,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if fractions is not None:
             splits = splits.with_shares(fractions)
         scenes = self._schema.scenes
-        if fractions is None and self._manifest.schema_version >= SPLITS_SINCE:
+        if fractions is None:
             found = read_table(self.path, ["split"], scenes)["split"].to_pylist()
         else:
             found = read_splits(self.path, scenes, splits)
@@ -306,10 +303,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def _scenes_with_evidence(self, least: float) -> Ints:
         """(N,) the scenes of `self.scenes` in which every object has at least this significance."""
-        if self._manifest.schema_version < EVIDENCE_SINCE:
-            raise InputError(
-                f"evidence_at_least: {self.path} is of an earlier schema version, which has none; build it anew"
-            )
         table = read_table(self.path, None, self._schema.scenes)
         if "evidence.weakest" not in table.column_names:
             return self.scenes

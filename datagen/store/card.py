@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from datagen.errors import printable
-from datagen.store.environment import mixed
+from datagen.store.environment import LIBRARIES, mixed
 from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord, scenes_made
@@ -97,10 +97,10 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
         f"- configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"- mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
         f"- licence: {config.get('license') or 'none stated, so all rights are reserved'}",
-        f"- code: commit {manifest.commit or 'unknown (not run from a checkout)'}",
-        f"- versions: {', '.join(f'{name} {version}' for name, version in manifest.versions.items())}",
-        f"- begun on: {manifest.hardware['processor']}, {manifest.hardware['system']}",
-        *(f"- shards differ in {difference}" for difference in mixed([record.environment for record in records])),
+        f"- code: commit {manifest.made_by['commit']}",
+        f"- versions: {', '.join(f'{name} {manifest.made_by[name]}' for name in ('datagen', 'python', *LIBRARIES))}",
+        f"- begun on: {manifest.made_by['processor']}, {manifest.made_by['system']}",
+        *(f"- shards differ in {difference}" for difference in mixed([record.made_by for record in records])),
         "",
     ]
     return printable("\n".join(lines).replace("\r\n", "\n"))
@@ -108,7 +108,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord], table: pa.Table | N
 
 def _origin_lines(manifest: Manifest) -> list[str]:
     """Sentences that say whether the dataset was simulated or imported."""
-    version = manifest.versions["datagen"]
+    version = manifest.made_by["datagen"]
     if manifest.imported:
         return [
             "Non-line-of-sight captures as files of other programs or of a laboratory hold them, imported by datagen "

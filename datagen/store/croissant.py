@@ -14,7 +14,7 @@ from datagen.store.files import sha256_of
 from datagen.store.location import Location
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
-from datagen.store.schema import Field
+from datagen.store.schema import FORMAT, Field
 from datagen.store.table import COLUMNS, TABLE
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
@@ -64,7 +64,7 @@ _IMPORTED = _RESPONSIBLE | {
 def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
     """The content of `croissant.json`: the files, a record for each scene, and a record for each array.
 
-    The version of the dataset is (schema version).(scenes).0, because a dataset that grows stays compatible. Its date
+    The version of the dataset is (format).(scenes).0, because a dataset that grows stays compatible. Its date
     is that of its last shard.
     """
     config, fields = manifest.config, manifest.schema.fields
@@ -73,7 +73,7 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
     what = "Imported" if manifest.imported else "Simulated"
     name = config["name"]
     made_by = (
-        f"datagen {manifest.versions['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
+        f"datagen {manifest.made_by['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
     )
     cite = (
         f"@misc{{{name}, title = {{{name}: {what.lower()} non-line-of-sight single-photon measurements}}, "
@@ -83,7 +83,7 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         "@context": _CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": name,
         "description": config["description"] or f"{what} non-line-of-sight single-photon measurements.",
-        "version": f"{manifest.schema_version}.{manifest.schema.scenes}.0",
+        "version": f"{FORMAT}.{manifest.schema.scenes}.0",
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
         **(_IMPORTED if manifest.imported else _RESPONSIBLE),

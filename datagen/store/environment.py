@@ -16,36 +16,34 @@ LIBRARIES = (
     "numpy", "scipy", "numba", "llvmlite", "embreex", "trimesh", "zarr", "numcodecs", "pydantic", "pyarrow",
 )  # fmt: skip
 """The libraries whose versions can change a dataset's bytes."""
-SYSTEM = f"{platform.system()} {platform.machine()}"
+STATED = {"datagen", "pyarrow", "processor", "system", "commit"}
+"""Entries of `made_by` that are read again, so that a file which lacks one is damaged."""
 
 
 @functools.cache
-def environment() -> dict[str, str]:
-    """Name → version, of datagen, Python and `LIBRARIES`."""
+def made_with() -> dict[str, str]:
+    """Name → value of all that a dataset states of its making, in `made_by`: versions of datagen, Python and
+    `LIBRARIES`; architecture, processor, system; commit."""
     versions = {"datagen": __version__, "python": platform.python_version()}
     for name in LIBRARIES:
         try:
             versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             versions[name] = "not installed"
-    return versions
+    machine = platform.machine()
+    versions |= {"machine": machine, "processor": processor(), "system": f"{platform.system()} {machine}"}
+    return versions | {"commit": commit() or "unknown"}
 
 
-@functools.cache
-def made_with() -> dict[str, str]:
-    """Name → value of the environment in a shard's record: versions, architecture, processor, system, commit."""
-    versions = environment() | {"machine": platform.machine(), "processor": processor()}
-    return versions | {"system": SYSTEM, "commit": commit() or "unknown"}
-
-
-def mixed(environments: Sequence[Mapping[str, str]]) -> list[str]:
+def mixed(environments: Sequence[Mapping[str, str]], also: Sequence[str] = ()) -> list[str]:
     """Differences between environments that may give other bytes for the same seed, such as `numpy 2.3.1 and 2.4.6`.
 
-    Another version of datagen gives the same bytes (the schema version is raised when they change), and so does
-    another processor of the same architecture. An entry that an older record lacks is ignored.
+    Another processor of the same architecture may give other last digits of light, well within its claimed error; the
+    workers of a cluster may differ in it, and it is compared only if `also` names it. An entry that one of the
+    environments lacks is ignored.
     """
     found = []
-    for name in ("python", *LIBRARIES, "machine"):
+    for name in ("datagen", "python", *LIBRARIES, "machine", *also):
         named = (environment[name].split(" and ") for environment in environments if name in environment)
         values = dict.fromkeys(value for several in named for value in several)
         if len(values) > 1:
@@ -58,12 +56,6 @@ def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
     where `mixed` splits them."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
-
-
-@functools.cache
-def hardware() -> dict[str, str | int]:
-    """The machine: processor, cores that this process may use, system."""
-    return {"processor": processor(), "cores": cores(), "system": SYSTEM}
 
 
 def cores() -> int:

@@ -116,12 +116,10 @@ def sealed(values: dict[str, Any]) -> bytes:
     return body[:-3] + f',\n  "checksum": "{hashlib.sha256(body).hexdigest()}"\n}}\n'.encode()
 
 
-def is_intact(content: bytes, must_be_sealed: bool) -> bool:
-    """Whether a file's content matches the checksum at its end; content without one is, unless `must_be_sealed`."""
+def is_intact(content: bytes) -> bool:
+    """Whether a file's content ends in the checksum of the rest."""
     seal = _SEAL.search(content, max(0, len(content) - 100))
-    if seal is None:
-        return not must_be_sealed
-    return hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
+    return seal is not None and hashlib.sha256(content[: seal.start()] + b"\n}\n").hexdigest().encode() == seal[1]
 
 
 def read_whole(path: Location) -> bytes:

@@ -56,22 +56,20 @@ def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
 
 def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
     """Lines on how many scenes are there, and from what and with which versions they were made."""
-    schema, files = manifest.schema, manifest.imported
+    schema, files, made_by = manifest.schema, manifest.imported, manifest.made_by
     whole = "" if len(records) == schema.shards else " (incomplete: build again to go on)"
     lines = [
         f"scenes       {sum(len(record.scenes) for record in records)} of {schema.scenes}{whole}",
         f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
-        f"made by      datagen {manifest.versions['datagen']}, schema {manifest.schema_version}, commit "
-        f"{(manifest.commit or 'unknown')[:12]}, on {manifest.hardware['processor']}, "
-        f"{manifest.hardware['cores']} cores",
+        f"made by      datagen {made_by['datagen']}, commit {made_by['commit'][:12]}, on {made_by['processor']}",
     ]
     if files:
         kinds = ", ".join(dict.fromkeys(file.format for file in files))
         names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
-    differences = mixed([record.environment for record in records])
+    differences = mixed([record.made_by for record in records])
     return lines + [f"mixed        shards differ in {difference}" for difference in differences]
 
 

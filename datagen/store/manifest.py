@@ -21,32 +21,17 @@ from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.checks import shown
 from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
-from datagen.store.environment import commit, environment, hardware
+from datagen.store.environment import STATED, made_with
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.location import Location, location_of
 from datagen.store.record import Digest, Finite, recorded_shards
-from datagen.store.schema import (
-    CHECKSUMS_SINCE,
-    COORDINATES_SINCE,
-    SCHEMA_VERSION,
-    SCHEMA_VERSIONS,
-    Field,
-    Schema,
-    check_size,
-    schema_of,
-)  # fmt: skip
+from datagen.store.schema import FORMAT, Field, Schema, check_size, schema_of
 from datagen.store.stats import FieldStats
 from datagen.store.table import COLUMNS, TABLE
 
 MANIFEST = "dataset.json"
-FORMAT = "datagen dataset"
 REMEDY = "build the dataset again with its configuration, which writes it anew"
-_RENAMED_SINCE = {1: (("transport", "scramblings", "replicates"),)}
-"""Schema version → (section, stored key, present key) of the keys that were renamed since."""
-_KEPT = (
-    "stats", "config", "meshes", "mesh_folder", "metadata", "versions", "commit", "hardware", "fingerprint",
-    "schema_version",
-)  # fmt: skip
+_KEPT = ("stats", "config", "meshes", "mesh_folder", "metadata", "made_by", "fingerprint")
 """Fields of `Manifest` that the file contains unchanged."""
 
 
@@ -58,12 +43,13 @@ class DamagedManifest(InputError):
 class Manifest:
     """The content of `dataset.json`.
 
-    config : the configuration as plain values, with the key names of its `schema_version`.
+    config : the configuration as plain values.
     meshes : mesh file → digest of its bytes.
     mesh_folder : the folder from which relative mesh paths start; None without such paths, so that no machine's paths
         are stored then.
     fingerprint : of the configuration and the meshes.
     metadata : `zarr.json` files and files of coordinates → SHA-256.
+    made_by : versions and machine that began the dataset (`made_with`).
     stats : split → field → `mean`, `std` and `nonzero` of its values; None before the dataset is complete.
     """
 
@@ -73,10 +59,7 @@ class Manifest:
     fingerprint: str
     schema: Schema
     metadata: dict[str, str]
-    versions: dict[str, str]
-    commit: str | None
-    hardware: dict[str, Any]
-    schema_version: int = SCHEMA_VERSION
+    made_by: dict[str, str]
     stats: dict[str, dict[str, dict[str, float]]] | None = None
 
     @property
@@ -87,7 +70,7 @@ class Manifest:
     @property
     def bins_merged(self) -> int:
         """Bins of a transient that make one bin of a histogram."""
-        return int(self.config.get("detector", {}).get("bins_merged", 1))
+        return int(self.config["detector"]["bins_merged"])
 
     @property
     def time(self) -> TimeAxis:
@@ -114,30 +97,19 @@ class Manifest:
         except pydantic.ValidationError as error:
             raise InputError(f"{MANIFEST}: scene.layout: {' '.join(str(error).split())}") from None
 
-    @property
-    def must_be_sealed(self) -> bool:
-        """Whether commit records carry a checksum of their own."""
-        return self.schema_version >= CHECKSUMS_SINCE
-
     def parsed_config(self, meshes: bool = True) -> DatasetConfig:
-        """The configuration as models. It generates the scenes again, but from an earlier schema version other
-        scenes.
+        """The configuration as models. The version of datagen that made the dataset makes its scenes again from it.
 
         meshes : look for the mesh files. Without it they may be missing, and scenes with meshes cannot be generated.
 
         Raises `InputError` if a mesh file is no longer where it was, a setting no longer exists, or the fields are
         not those that the configuration gives.
         """
-        config = self.config
-        for section, old, new in _RENAMED_SINCE.get(self.schema_version, ()):
-            renamed = {new if key == old else key: value for key, value in config[section].items()}
-            config = config | {section: renamed}
         folder = (self.mesh_folder or ".") if meshes else None
-        models = config_from_mapping(config, source=MANIFEST, base_directory=folder)
-        due, found = schema_of(models, self.schema.scenes_per_shard), self.schema
-        if self.must_be_sealed and [(f.name, f.shape) for f in due.fields] != [
-            (f.name, f.shape) for f in found.fields
-        ]:
+        models = config_from_mapping(self.config, source=MANIFEST, base_directory=folder)
+        due = {(field.name, field.shape) for field in schema_of(models, self.schema.scenes_per_shard).fields}
+        # A later version of datagen may store further fields with the same configuration.
+        if not {(field.name, field.shape) for field in self.schema.fields} <= due:
             raise InputError(
                 f"{MANIFEST}: its fields are not those that its configuration gives; build the dataset anew"
             )
@@ -146,14 +118,14 @@ class Manifest:
     def splits(self) -> SplitsConfig:
         """The division into splits. Raises `InputError` for settings that datagen does not write."""
         try:
-            return SplitsConfig.model_validate_json(json.dumps(self.config.get("splits", {})))
+            return SplitsConfig.model_validate_json(json.dumps(self.config["splits"]))
         except pydantic.ValidationError as error:
             raise InputError(f"{MANIFEST}: splits: {' '.join(str(error).split())}; {REMEDY}") from None
 
     def to_bytes(self) -> bytes:
         """The content of `dataset.json`."""
         schema, config = self.schema, self.config
-        values = {"format": FORMAT, "schema_version": self.schema_version}
+        values: dict[str, Any] = {"format": FORMAT}
         values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
         values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
         values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
@@ -165,8 +137,7 @@ def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
     values, meshes = config.model_dump(mode="json"), config.scene.mesh_digests()
     metadata = metadata_hashes(schema, time_axes(config))
-    made_by = environment(), commit(), hardware()
-    return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, *made_by)
+    return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, made_with())
 
 
 def metadata_hashes(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, str]:
@@ -183,10 +154,10 @@ def mesh_folder(config: DatasetConfig) -> str | None:
 
 
 def read_manifest(root: str | Location) -> Manifest:
-    """The manifest of a dataset of any schema version. The file is not trusted: names, sizes and types that datagen
-    does not write are refused. `Manifest.parsed_config` checks the settings.
+    """The manifest of a dataset. The file is not trusted: names, sizes and types that datagen does not write are
+    refused. `Manifest.parsed_config` checks the settings.
 
-    Raises `InputError` if the folder is no dataset or of a later schema version, and `DamagedManifest`.
+    Raises `InputError` if the folder is no dataset or one of another format, and `DamagedManifest`.
     """
     root = location_of(root)
     path = root / MANIFEST
@@ -200,23 +171,20 @@ def read_manifest(root: str | Location) -> Manifest:
         what = "is no dataset: it has no dataset.json" if root.is_dir() else "no such dataset"
         raise InputError(f"{root}: {what}; name a folder that `datagen build` made")
     try:
-        if not is_intact(content, must_be_sealed=False):
-            raise InputError(f"{path}: has changed since it was written (its checksum differs)")
         stated = parsed(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
-    version = stated.get("schema_version")
-    if stated.get("format") != FORMAT:
+    if "format" not in stated:
         raise DamagedManifest(
             f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made"
         )
-    if not isinstance(version, int) or version not in SCHEMA_VERSIONS:
+    if not is_intact(content):
+        raise DamagedManifest(f"{path}: has changed since it was written (its checksum differs); {REMEDY}")
+    if stated["format"] != FORMAT:
         raise InputError(
-            f"{path}: schema_version = {shown(version)}, this datagen reads 1 … {SCHEMA_VERSION}; "
-            "use the version of datagen that made it"
+            f"{path}: format = {shown(stated['format'])}, this datagen reads format {FORMAT}; use the version of "
+            "datagen that made it"
         )
-    if not is_intact(content, must_be_sealed=version >= CHECKSUMS_SINCE):
-        raise DamagedManifest(f"{path}: has lost its checksum; {REMEDY}")
     try:
         return _manifest_of(parsed(path, content, _File), stated)
     except InputError as error:
@@ -255,7 +223,7 @@ class _Capture:
 
 @dataclass(frozen=True)
 class _Detector:
-    bins_merged: Annotated[int, pydantic.Field(ge=1, le=2**20)] = 1
+    bins_merged: Annotated[int, pydantic.Field(ge=1, le=2**20)]
 
 
 @dataclass(frozen=True)
@@ -266,7 +234,8 @@ class _Config:
     description: str
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)]
     capture: _Capture
-    detector: _Detector = _Detector()
+    detector: _Detector
+    splits: dict[str, Any]
     license: str = ""
 
 
@@ -282,9 +251,7 @@ class _File:
     meshes: dict[str, Digest]
     mesh_folder: str | None
     metadata: dict[str, Digest]
-    versions: dict[str, str]
-    commit: str | None
-    hardware: dict[str, str | int]
+    made_by: dict[str, str]
     stats: dict[str, dict[str, FieldStats]] | None = None
 
 
@@ -305,11 +272,10 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
             raise InputError(f"field {field.name}: is cut into other chunks than datagen cuts it")
     due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
     axes = ("bin", "transient_bin") if file.config.detector.bins_merged > 1 else ("bin",)
-    if set(file.metadata) != due | set(coordinates(axes) if stated["schema_version"] >= COORDINATES_SINCE else ()):
+    if set(file.metadata) != due | set(coordinates(axes)):
         raise InputError("metadata: other files than its fields have")
-    stated_by = file.versions.keys() | file.hardware.keys()
-    if not {"datagen", "pyarrow", "processor", "cores", "system"} <= stated_by:
-        raise InputError("versions, hardware: incomplete")
+    if not set(file.made_by) >= STATED:
+        raise InputError("made_by: incomplete")
     return Manifest(schema=schema, **{"stats": None} | {key: stated[key] for key in _KEPT if key in stated})
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from datagen._version import __version__
 from datagen.config import DatasetConfig, time_axes
 from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
 from datagen.store.arrays import GROUP, coordinates, metadata_files
-from datagen.store.environment import environment
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
 from datagen.store.location import Location
 from datagen.store.manifest import (
@@ -24,7 +24,7 @@ from datagen.store.manifest import (
     read_manifest,
 )  # fmt: skip
 from datagen.store.record import BUILD, sound_records
-from datagen.store.schema import SCHEMA_VERSION, schema_of
+from datagen.store.schema import schema_of
 
 WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 """Files that exist only if all shards exist."""
@@ -99,11 +99,12 @@ def forget_complete(root: Location) -> None:
 def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     """The manifest of a dataset that lost its own, from the configuration and the shards; None without any shard,
     since nothing then says that the folder belongs to this configuration."""
-    records = list(sound_records(root, must_be_sealed=True))
+    records = list(sound_records(root))
     if not records:
         return None
     fingerprint = config.fingerprint()
     for record in records:
+        _check_version(root, record.made_by)
         if record.fingerprint != fingerprint:
             raise InputError(
                 f"output {root}: has no sound dataset.json, and shard {record.shard} was made with another "
@@ -118,11 +119,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     # Shard s begins at scene s · scenes_per_shard.
     k = last.first_scene // last.shard if last.shard else 0
     schema = schema_of(config, k if 0 < k <= 256 and k & (k - 1) == 0 else None)
-    described, made_by = describe(config, schema), records[0].environment
-    versions = {name: made_by.get(name, version) for name, version in environment().items()}
-    hardware = described.hardware | {name: made_by[name] for name in ("processor", "system") if name in made_by}
-    commit = made_by.get("commit")
-    return replace(described, versions=versions, commit=None if commit == "unknown" else commit, hardware=hardware)
+    return replace(describe(config, schema), made_by=records[0].made_by)
 
 
 def _resumed(root: Path, config: DatasetConfig) -> Manifest:
@@ -133,11 +130,7 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
             f"output {root}: holds {first!r} and no dataset.json, so it is no dataset; name a new or an empty folder"
         )
     old = read_manifest(root)
-    if old.schema_version != SCHEMA_VERSION:
-        raise InputError(
-            f"output {root}: holds a dataset of schema version {old.schema_version}, and this datagen, of version "
-            f"{SCHEMA_VERSION}, makes other scenes of the same seed; build into a new folder"
-        )
+    _check_version(root, old.made_by)
     _check_same(root, old, config)
     if config.scenes < old.schema.scenes:
         raise InputError(
@@ -148,6 +141,15 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
     values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, time_axes(config))
     stats = old.stats if (schema, values) == (old.schema, old.config) else None
     return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata, stats=stats)
+
+
+def _check_version(root: Path, made_by: Mapping[str, str]) -> None:
+    """Raise `InputError` unless this version of datagen began the dataset."""
+    if made_by["datagen"] != __version__:
+        raise InputError(
+            f"output {root}: holds a dataset that datagen {made_by['datagen']} began, and this is {__version__}, "
+            "which may make other scenes of the same seed; go on with that version, or name another folder"
+        )
 
 
 def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:

@@ -287,7 +287,7 @@ class DatasetReader:
     def _record(self, shard: int) -> dict[str, tuple[int, list[bytes | None]]]:
         """Field → size of its file, and digests of the scenes, as the record of a shard states them."""
         if shard not in self._records:
-            record = read_record(self._root, shard, self._manifest.must_be_sealed)
+            record = read_record(self._root, shard)
             wrong = record.mismatch(self._schema, self._manifest.fingerprint) if record else "is not committed"
             if record is None or wrong:
                 raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")

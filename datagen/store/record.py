@@ -15,6 +15,7 @@ import pydantic
 
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
+from datagen.store.environment import STATED
 from datagen.store.files import difference, is_intact, parsed, read_if_there, sealed
 from datagen.store.location import AnyLocation, Location
 from datagen.store.schema import Schema
@@ -38,7 +39,7 @@ class SceneRecord:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     seconds: Mapping[str, Finite] = field(default_factory=dict)
     stats: Mapping[str, FieldStats] = field(default_factory=dict)
-    """Field → statistics of its values; empty before schema version 5."""
+    """Field → statistics of its values."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class ShardRecord:
     files : path relative to the dataset → hash and size.
     seconds : wall-clock seconds of the whole shard: "store" for encoding, writing and syncing; "total".
     started, finished : Unix times.
-    environment : versions and machine of the worker.
+    made_by : versions and machine of the worker (`made_with`).
     """
 
     shard: int
@@ -70,7 +71,7 @@ class ShardRecord:
     seconds: Mapping[str, Finite]
     started: Finite
     finished: Finite
-    environment: Mapping[str, str]
+    made_by: Mapping[str, str]
 
     @property
     def failures(self) -> dict[int, str]:
@@ -119,22 +120,18 @@ def running_path(root: Path, shard: int) -> Path:
     return root / BUILD / f"shard-{shard:06d}.running"
 
 
-def read_record(root: Location, shard: int, must_be_sealed: bool) -> ShardRecord | None:
-    """The record of a shard, or None if the shard is not committed.
-
-    must_be_sealed : the record must have a checksum; records before `CHECKSUMS_SINCE` have none.
-
-    Raises `CheckError` for a damaged record.
-    """
+def read_record(root: Location, shard: int) -> ShardRecord | None:
+    """The record of a shard, or None if the shard is not committed. Raises `CheckError` for a damaged record."""
     path = root / _record_name(shard)
     try:
         content = read_if_there(path)
         if content is None:
             return None
-        if not is_intact(content, must_be_sealed):
+        if not is_intact(content):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
         record = parsed(path, content, ShardRecord)
-        if record.shard != shard or not {"store", "total"} <= set(record.seconds):
+        is_whole = {"store", "total"} <= set(record.seconds) and set(record.made_by) >= STATED
+        if record.shard != shard or not is_whole:
             raise InputError(f"{path}: is not the record of shard {shard}")
     except InputError as error:
         raise CheckError(f"{error}; run the same `datagen build` again to make shard {shard} anew") from None
@@ -147,11 +144,11 @@ def recorded_shards(root: Location) -> list[int]:
     return sorted(int(match[1]) for match in matches if match)
 
 
-def sound_records(root: Location, must_be_sealed: bool, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:
+def sound_records(root: Location, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:
     """The undamaged records of `shards` (None: of all shards). They may belong to another dataset."""
     for shard in recorded_shards(root) if shards is None else shards:
         try:
-            record = read_record(root, shard, must_be_sealed)
+            record = read_record(root, shard)
         except CheckError:
             continue
         if record is not None:

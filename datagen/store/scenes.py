@@ -52,7 +52,7 @@ class Scenes:
         """The scene of an index. Raises `InputError`, which calls it `called`, if it is not there or was not made."""
         schema = self.manifest.schema
         shard = index // schema.scenes_per_shard
-        record = read_record(self.root, shard, self.manifest.must_be_sealed)
+        record = read_record(self.root, shard)
         if record is None:
             raise InputError(
                 f"{called} {index}: shard {shard} of {self.root} is not there yet; run `datagen build` again, or "

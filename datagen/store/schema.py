@@ -17,42 +17,9 @@ from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 
-SCHEMA_VERSIONS = {
-    1: "datagen 0.1",
-    2: "datagen 0.2: rooms drawn once; columns `sampler.*`, were `detector_plan.*`; key replicates, was scramblings",
-    3: "datagen 0.3: other counts (drawn block by block); signed distances in double precision",
-    4: "datagen 0.4: with a target other light; columns transient.part_error.*; checksums in the JSON files",
-    5: "datagen 0.5: axes of one size, units, array `bin`; columns `split`, `stats.*`; with a target other light",
-    6: "datagen 0.6: evidence of objects: field evidence, columns `evidence.*`, tables object_detections and others",
-    7: "datagen 0.7: with a target other light of meshes; background fields, presence, evidence.placed_anew",
-    8: "datagen 0.9: field evidence on a coarse grid that is refined; floats are shuffled by bytes",
-    9: "datagen 0.10: with a target other light of four bounces, and of three where surfaces hardly face the wall",
-    10: "datagen 0.11: with a target other light of three bounces",
-    11: "datagen 0.12: with a target other last digits, and of large pixels other light within its errors",
-    12: "datagen 0.13: transport.spend.cost is less where surfaces lie on each other",
-    13: "datagen 0.14: columns labels.scan_*_m, transport.spend.second_opinion; other direct return and evidence",
-    14: "datagen 0.15: with a target other light, most of it where pixels see lobes",
-    15: "datagen 0.16: with a target other light in some scenes",
-    16: "datagen 0.17: with a target other light of meshes",
-    17: "datagen 0.18: with a target other light, as elements are chosen without closed surfaces and clusters",
-    18: "datagen 0.19: other albedos of materials; columns detector.tdc_*, bins_merged, effect.tdc_nonlinearity.*",
-    19: "datagen 0.20: with a target other light of meshes and faint objects; axis transient_bin, field zone_depth",
-    20: "datagen 0.21: with a target other light of meshes",
-    21: "datagen 0.22: with a target other light of pixels at edges and on bent surfaces, and of scans",
-    22: "datagen 0.23: with a target other light of meshes and narrow lobes",
-}
-"""Version of the stored format → the release that introduced it, and how its files, or the scenes of a seed, differ
-from those of the version before (CHANGELOG.md has the details). All versions are read; only the last is written.
-Every such change raises the version, so that no dataset mixes two."""
-SCHEMA_VERSION = max(SCHEMA_VERSIONS)
-CHECKSUMS_SINCE = 4
-"""The first version whose `dataset.json` and commit records must have a checksum of their own."""
-COORDINATES_SINCE = 5
-"""The first version that stores the arrival time of each bin, as a coordinate of its axis."""
-SPLITS_SINCE = 5
-"""The first version whose table has the split of each scene."""
-EVIDENCE_SINCE = 6
-"""The first version whose table has the detectability of each object."""
+FORMAT = 1
+"""Number of the stored format. It rises when the bytes of a file or the meaning of a field change, not when a field
+is added, nor when a seed gives other light: `made_by` in `dataset.json` has the version of datagen for that."""
 CHUNK_BYTES = 4 * 2**20
 """Largest raw size of a chunk; a scene with more is cut, first along `laser`. Half as much would double the requests
 to an object store for a large scene, and reading from a disk would take the same time."""

@@ -66,12 +66,12 @@ class Output:
             root.mkdir(parents=True, exist_ok=True)
             write_atomically(root / MANIFEST, read_whole(bucket / MANIFEST))
         own = read_manifest(root)
-        if (own.fingerprint, own.schema_version) != (manifest.fingerprint, manifest.schema_version):
+        if own.fingerprint != manifest.fingerprint:
             raise InputError(
                 f"output {bucket}: holds another dataset than {root}, made for it; delete one of the two"
             )
         missing = sorted({*recorded_shards(bucket)} - {*recorded_shards(root)})
-        for record in sound_records(bucket, manifest.must_be_sealed, missing):
+        for record in sound_records(bucket, missing):
             # A file that differs from its record is found by the build, which makes the shard again.
             if record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(bucket, hashes=False):
                 continue

@@ -15,13 +15,12 @@ from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, write_card
 from datagen.store.croissant import croissant
-from datagen.store.environment import environment
+from datagen.store.environment import made_with
 from datagen.store.files import difference, holds, json_bytes, write_if_changed
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards, sound_records
-from datagen.store.schema import SCHEMA_VERSION, SPLITS_SINCE
 from datagen.store.table import CROISSANT, TABLE, stats_by_split, table_bytes, table_of
 
 
@@ -36,7 +35,7 @@ def committed(
     # The loop is over records in the folder, since a hostile `dataset.json` may claim any number of scenes.
     return [
         record
-        for record in sound_records(root, manifest.must_be_sealed, shards)
+        for record in sound_records(root, shards)
         if record.shard < manifest.schema.shards
         and not record.mismatch(manifest.schema, manifest.fingerprint)
         and not record.problem(root, hashes)
@@ -54,8 +53,7 @@ def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> No
 
 
 def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
-    splits = manifest.splits() if manifest.schema_version >= SPLITS_SINCE else None
-    return table_of(records, [field.name for field in manifest.schema.fields], splits)
+    return table_of(records, [field.name for field in manifest.schema.fields], manifest.splits())
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
             )
             continue
         try:
-            record = read_record(root, shard, manifest.must_be_sealed)
+            record = read_record(root, shard)
         except CheckError as error:
             problems.append(str(error))
             continue
@@ -147,16 +145,16 @@ def _summary_problems(root: Location, manifest: Manifest, records: Sequence[Shar
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
-    table, now = _table(manifest, records), environment()
-    if manifest.schema_version >= SPLITS_SINCE and manifest.stats != stats_by_split(table):
+    table, now = _table(manifest, records), made_with()
+    if manifest.stats != stats_by_split(table):
         yield "dataset.json: its stats differ from what the commit records say"
     # Another version of pyarrow writes the same table with other bytes; then the rows are compared.
-    same_writer = manifest.versions["pyarrow"] == now["pyarrow"]
+    same_writer = manifest.made_by["pyarrow"] == now["pyarrow"]
     if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _has_rows_of(root / TABLE, table)):
         yield f"{TABLE}: differs from what the commit records say"
         return
     # Another version of datagen may describe the same dataset in other words; then the cards must only exist.
-    same_words = (manifest.versions["datagen"], manifest.schema_version) == (now["datagen"], SCHEMA_VERSION)
+    same_words = manifest.made_by["datagen"] == now["datagen"]
     texts = {CROISSANT: b"", CARD: b""}
     if same_words:
         texts[CROISSANT] = json_bytes(croissant(root, manifest, records))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -12,9 +11,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from damage import reseal
 
 from datagen.cli import run
-from datagen.store.files import sealed
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """
@@ -80,12 +79,15 @@ def test_scenes_simulated_again_are_those_stored(
 
     shutil.copytree(dataset, tmp_path / "set")
     record = tmp_path / "set/build/shard-000001.json"
-    values = json.loads(record.read_bytes())
-    del values["checksum"]
-    values["scenes"][0]["digests"]["histogram"] = "0" * 64
-    record.write_bytes(sealed(values))
+    reseal(record, lambda values: values["scenes"][0]["digests"].update(histogram="0" * 64))
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
     assert "scene 2: simulated again, histogram differ\n" in capsys.readouterr().out
+    reseal(record, lambda values: values["made_by"].update(processor="another"))
+    assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
+    assert "(what it was made with differs: processor another and " in capsys.readouterr().out
+    reseal(tmp_path / "set/dataset.json", lambda values: values["made_by"].update(datagen="1.0.0"))
+    assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 2
+    assert "made by datagen 1.0.0, and this is" in capsys.readouterr().err
 
 
 def test_a_damaged_dataset_fails_its_check(built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,8 +12,6 @@ from datagen.config import config_from_mapping
 from datagen.pipeline import simulate_sample
 from datagen.store.info import info
 
-EARLIER = Path(__file__).parents[1] / "regression" / "schema_5" / "dataset"
-
 
 def config() -> dg.DatasetConfig:
     return config_from_mapping(
@@ -73,11 +71,6 @@ def test_scenes_with_too_little_evidence_are_left_out(built: Path) -> None:
 def test_bad_conditions_are_refused(built: Path, least: float) -> None:
     with pytest.raises(dg.InputError, match=r"evidence_at_least = .*: must be a number in 0 … 1e\+09 \(standard"):
         dg.TransientDataset(built, fields=("histogram",), evidence_at_least=least)
-
-
-def test_datasets_of_earlier_schemas_have_no_evidence() -> None:
-    with pytest.raises(dg.InputError, match=r"evidence_at_least: .* is of an earlier schema version"):
-        dg.TransientDataset(EARLIER, fields=("histogram",), evidence_at_least=3)
 
 
 def test_info_and_card_state_evidence_by_kind(built: Path) -> None:

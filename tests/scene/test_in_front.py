@@ -114,12 +114,15 @@ def test_distances_and_offsets_are_those_asked_for(layout: str, turn: str) -> No
         assert np.abs(offsets).max() <= 0.5 and offsets.min() < -0.2 and offsets.max() > 0.2
 
 
-def test_what_stands_beside_is_configured_and_drawn_as_before() -> None:
-    """Its keys, and with them the fingerprint of old datasets, know nothing of the new ones."""
-    config = config_from_mapping({"scene": {"layout": {"kind": "isolated_wall"}, "contents": [{"kind": "box"}]}})
-    written = config.model_dump(mode="json")["scene"]
-    assert not {"place", "beside_m", "space_depth_m"} & set(written["layout"])
-    assert not {"distance_m", "offset_m"} & set(written["contents"][0])
+@pytest.mark.parametrize("place", ["beside", "in_front"])
+def test_a_stored_configuration_of_either_place_is_read_again(place: str) -> None:
+    """It has every key, those of the other place with their default values, too."""
+    item = {"kind": "box", "distance_m": 1.5}
+    config = config_from_mapping({"scene": {"layout": {"kind": "isolated_wall", "place": place}, "contents": [item]}})
+    stored = config.model_dump(mode="json")
+    assert {"beside_m", "screen_offset_m"} <= set(stored["scene"]["layout"])
+    again = config_from_mapping(stored)
+    assert again == config and again.fingerprint() == config.fingerprint()
 
 
 @pytest.mark.parametrize(

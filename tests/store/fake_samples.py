@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import time
@@ -19,7 +18,6 @@ from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.seeding import Purpose, generator
 from datagen.store import schema_of
-from datagen.store.files import sealed
 
 
 def small_config(**changes: object) -> DatasetConfig:
@@ -43,14 +41,6 @@ def noisy_config(**detector: Any) -> DatasetConfig:
 def large_config() -> DatasetConfig:
     """`small_config` with 4096 bins: a shard of transients is larger than any other file."""
     return small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 4096}})
-
-
-def reseal(path: Path, change: Callable[[Any], object]) -> None:
-    """Change what a sealed JSON file says, and its checksum with it."""
-    values = json.loads(path.read_text())
-    del values["checksum"]
-    change(values)
-    path.write_bytes(sealed(values))
 
 
 def build_fakes(config: DatasetConfig, root: str | Path, workers: int = 1, **options: Any) -> BuildResult:

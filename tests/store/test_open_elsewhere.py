@@ -18,7 +18,7 @@ import datagen as dg
 from datagen.config import DatasetConfig, load_config, time_axes
 from datagen.store import committed, read_manifest, schema_of, verify
 from datagen.store.card import card as card_text
-from datagen.store.schema import SCHEMA_VERSION
+from datagen.store.schema import FORMAT
 
 ROOT = Path(__file__).resolve().parents[2]
 EVERY_FIELD = [
@@ -123,9 +123,7 @@ def test_the_card_for_machines_is_whole(tmp_path: Path) -> None:
     config = everything("confocal").model_copy(update={"license": "CC-BY-4.0"})
     path = write_dataset(config, tmp_path / "set", fake_sample)
     card = json.loads((path / "croissant.json").read_text())
-    assert (
-        card["license"] == "https://spdx.org/licenses/CC-BY-4.0.html" and card["version"] == f"{SCHEMA_VERSION}.12.0"
-    )
+    assert card["license"] == "https://spdx.org/licenses/CC-BY-4.0.html" and card["version"] == f"{FORMAT}.12.0"
     assert "- licence: CC-BY-4.0" in (path / "README.md").read_text()
     for file_set in card["distribution"][1:]:
         assert list(path.glob(file_set["includes"].removesuffix("**") + "zarr.json")), file_set["@id"]

@@ -156,11 +156,6 @@ def test_failed_scenes_are_in_no_split(tmp_path: Path) -> None:
     assert sorted(found) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
 
 
-def test_earlier_datasets_have_splits_too() -> None:
-    earlier = Path(__file__).parents[1] / "regression/schema_3/dataset"
-    assert sorted(chain(*(scenes_of(earlier, name) for name in SPLITS))) == [0, 1, 2]
-
-
 def test_the_example_of_the_docs_is_one() -> None:
     page = (Path(__file__).parents[2] / "docs/datasets.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"^```yaml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)

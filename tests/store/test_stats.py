@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import torch
 import zarr
+from damage import reseal
 from datasets import write_dataset
-from fake_samples import build_fakes, fake_sample, reseal, small_config
+from fake_samples import build_fakes, fake_sample, small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -95,12 +96,6 @@ def test_statistics_are_verified_and_kept(dataset: Path, tmp_path: Path) -> None
     assert described.read_bytes() == content and verify(tmp_path / "set").problems == ()
     build_fakes(small_config(), tmp_path / "set", scenes=24)
     assert described.read_bytes() != content and verify(tmp_path / "set").problems == ()
-
-
-def test_earlier_datasets_have_no_statistics() -> None:
-    data = dg.TransientDataset(Path(__file__).parents[1] / "regression/schema_4/dataset", ("depth",))
-    with pytest.raises(InputError, match=r"stats: .* is of an earlier schema version, which has none"):
-        data.stats  # noqa: B018
 
 
 def test_a_dataset_says_what_it_is(dataset: Path) -> None:

@@ -10,18 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fake_samples import (
-    build_fakes,
-    changed_at_5,
-    deaf_at_5,
-    fails_at_5,
-    fake_sample,
-    hangs_at_5,
-    reseal,
-    small_config,
-)
+from damage import reseal
+from fake_samples import build_fakes, changed_at_5, deaf_at_5, fails_at_5, fake_sample, hangs_at_5, small_config
 
 from datagen.building.build import BuildResult
+from datagen.cli import run
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
@@ -125,20 +118,39 @@ def test_a_dataset_that_had_grown_is_restored(tmp_path: Path) -> None:
 
 
 def made_elsewhere(root: Path, shard: int = 1, **changes: str) -> None:
-    reseal(root / f"build/shard-{shard:06d}.json", lambda v: v["environment"].update(changes))
+    reseal(root / f"build/shard-{shard:06d}.json", lambda v: v["made_by"].update(changes))
 
 
 def test_other_versions_are_mixed_only_if_the_user_accepts_it(dataset: Path) -> None:
-    made_elsewhere(dataset, numpy="1.26.0", processor="another", datagen="0.4.1")
+    made_elsewhere(dataset, numpy="1.26.0", processor="another")
     before = {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()}
     with pytest.raises(InputError, match=r"shard 1 and this machine differ in numpy 1\.26\.0 and .*--accept-mixed"):
         again(dataset, scenes=16)
     assert {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()} == before
     assert again(dataset, scenes=16, accept_mixed=True).complete
     assert "shards differ in numpy" in (dataset / "README.md").read_text() and verify(dataset).problems == ()
-    made_elsewhere(dataset, numpy=read_manifest(dataset).versions["numpy"], machine="riscv64")
+    made_elsewhere(dataset, numpy=read_manifest(dataset).made_by["numpy"], machine="riscv64")
     with pytest.raises(InputError, match="differ in machine riscv64 and"):
         again(dataset, scenes=16)
+
+
+def test_only_the_version_that_began_a_build_goes_on_with_it(
+    dataset: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Neither with its manifest nor, where that is lost, with its shards alone; and nothing in the folder changes."""
+    config = tmp_path / "same.yaml"
+    config.write_text(small_config().model_dump_json())
+    reseal(dataset / "dataset.json", lambda values: values["made_by"].update(datagen="1.0.0"))
+    for shard in (0, 1, 2):
+        made_elsewhere(dataset, shard, datagen="1.0.0")
+    for lost in (False, True):
+        if lost:
+            (dataset / "dataset.json").unlink()
+        before = {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()}
+        assert run(["build", str(config), str(dataset), "--accept-mixed"]) == 2
+        refused = capsys.readouterr().err
+        assert "holds a dataset that datagen 1.0.0 began, and this is" in refused and refused.count("\n") == 1
+        assert {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()} == before
 
 
 def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None:
@@ -153,8 +165,8 @@ def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None
     made_elsewhere(root, numpy="1.26.0")
     again(root, sample_function=counted, accept_mixed=True)
     assert tried == [5] and verify(root, deep=True).problems == ()
-    now = read_manifest(root).versions["numpy"]
-    assert [r.environment["numpy"] for r in committed(root, read_manifest(root))] == [now, f"1.26.0 and {now}", now]
+    now = read_manifest(root).made_by["numpy"]
+    assert [r.made_by["numpy"] for r in committed(root, read_manifest(root))] == [now, f"1.26.0 and {now}", now]
     assert f"shards differ in numpy {now} and 1.26.0" in (root / "README.md").read_text()
 
 

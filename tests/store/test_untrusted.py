@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fake_samples import build_fakes, reseal, small_config
+from damage import reseal
+from fake_samples import build_fakes, small_config
 
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
@@ -101,12 +102,13 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
     "no fields": lambda values: values.update(fields=[]),
     "shards of 10⁹ scenes": lambda values: values.update(scenes_per_shard=10**9),
     "metadata elsewhere": lambda values: values["metadata"].update({"../../../etc/passwd": "0" * 64}),
-    "no versions": lambda values: values.update(versions={}),
-    "hardware of lists": lambda values: values["hardware"].update(cores=[[]]),
+    "no origin": lambda values: values.update(made_by={}),
+    "an origin of lists": lambda values: values["made_by"].update(datagen=[[]]),
     "no configuration": lambda values: values.update(config={}),
     "an infinite time axis": config(capture={"pairing": "confocal", "time": {
         "origin": "wall", "start_ns": float("inf"), "bin_width_ps": 1.0}}),
-    "a version of the future": lambda values: values.update(schema_version=10**9),
+    "a format of the future": lambda values: values.update(format=10**9),
+    "a format of before 1.0": lambda values: values.update(format="datagen dataset", schema_version=22),
 }  # fmt: skip
 
 
@@ -128,8 +130,8 @@ def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFix
     "text",
     [
         "[" * 10**6,
-        '{"a":' * 10**5, '{"format": "datagen dataset", "schema_version": 1e999}', '{"a": 1' + "0" * 5000 + "}",
-        '{"format": "\\ud800"}', "\xff", "NaN", "Infinity", '{"format": "datagen dataset", "schema_version": true}',
+        '{"a":' * 10**5, '{"format": 1e999}', '{"a": 1' + "0" * 5000 + "}",
+        '{"format": "\\ud800"}', "\xff", "NaN", "Infinity", '{"format": true}',
     ],
     ids=lambda text: text[:12],
 )  # fmt: skip

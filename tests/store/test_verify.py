@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import zarr
-from fake_samples import reseal
+from damage import reseal
 
 from datagen.store import DatasetReader, committed, read_manifest, verify
 from datagen.store.croissant import croissant
