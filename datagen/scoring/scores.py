@@ -19,8 +19,7 @@ from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import Truth, read_truth
 from datagen.store.files import finite
 from datagen.store.summaries import LEAST
-from datagen.store.verify import dataset_digest
-from datagen.suites import suite_of
+from datagen.suites import is_published
 
 TITLES = {
     "depth_rmse_m": "root mean square error of depth on pixels of objects (m)",
@@ -42,7 +41,7 @@ class Scores:
     Attributes
     ----------
     dataset : name of the dataset.
-    published : whether the dataset is a suite with the published bytes.
+    published : whether the dataset is a suite that agrees with the published one.
     split, scenes : the split, and its number of scenes.
     scenes_with_evidence : number of scenes in which every object has evidence (a significance of 3 or more).
     all, with_evidence : metric → value, over all objects, and over the objects with evidence. Metrics of quantities
@@ -99,11 +98,10 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     check_kind("split", split, str, remedy="such as 'test'")
     truth = read_truth(suite, split)
     found = read_predictions(predictions, truth)
-    named = suite_of(truth.manifest)
     each, centers = _by_scene(found, truth), _center_errors(found, truth)
     return Scores(
         str(truth.manifest.config["name"]),
-        named is not None and dataset_digest(Path(suite)) == named.digest,
+        is_published(Path(suite), truth.manifest),
         split,
         len(truth.scenes),
         int(truth.all_evident.sum()),

@@ -1,0 +1,141 @@
+"""What is published of a suite beside its configuration: rooms and expected counts of its first scenes.
+
+A dataset agrees with it whose rooms are the same to rounding, and whose counts are as likely as the claimed errors of
+the light and the law of counting allow. So it does not matter which processor or version of a library made it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pydantic
+
+from datagen._version import __version__
+from datagen.config import DatasetConfig
+from datagen.detector import detector_for, expected_histogram
+from datagen.errors import CheckError
+from datagen.pipeline import simulate_sample
+from datagen.records.arrays import Floats
+from datagen.scene import generate_scene
+from datagen.store.files import json_bytes, parsed, read_whole
+from datagen.store.record import Parameter
+from datagen.store.scenes import Scenes
+
+SCENES = 4
+"""First scenes of a suite that are published: enough to tell other rooms or other light, and made in seconds."""
+SPANS = 8
+"""Equal spans of the time axis in which counts are added up, over the whole scan."""
+ROOM_TOLERANCE = 1e-9
+"""Largest relative difference of a number that was drawn for a room, far above what rounding comes to."""
+COUNTING_SIGMAS = 4.0
+"""Standard deviations by which drawn counts may be off their mean; one sound suite in ten thousand is further off."""
+
+_Count = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
+
+
+@dataclass(frozen=True)
+class PublishedScene:
+    """One scene.
+
+    room : what was drawn for the room, by the names of `samples.parquet`.
+    counts : expected counts of all pixels and laser points in `SPANS` spans of time.
+    light_error : claimed relative L2 error of the light that they were made from.
+    """
+
+    room: dict[str, Parameter]
+    counts: tuple[_Count, ...]
+    light_error: _Count
+
+
+@dataclass(frozen=True)
+class Published:
+    """The first scenes of a suite, and the version of datagen that made them."""
+
+    datagen: str
+    scenes: tuple[PublishedScene, ...]
+
+    @classmethod
+    def read(cls, path: Path) -> Published:
+        """The content of a file that `write` made."""
+        return parsed(path, read_whole(path), cls)
+
+    def write(self, path: Path) -> None:
+        """Write the file, which people can read."""
+        path.write_bytes(json_bytes(self))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The relative L2 difference of the counts of a dataset from the published ones, and the largest that the claimed
+    errors and the law of counting allow."""
+
+    difference: float
+    allowed: float
+
+
+def publish(config: DatasetConfig, scenes: int = SCENES) -> Published:
+    """Simulate the first scenes of a suite for publication."""
+    return Published(__version__, tuple(_published_scene(config, index) for index in range(scenes)))
+
+
+def room_of(config: DatasetConfig, index: int) -> dict[str, Parameter]:
+    """What is drawn for the room of a scene. The seen fraction of an object is counted by rays, of which one may just
+    miss an edge on another processor."""
+    parameters = generate_scene(config.scene, config.seed, index).parameters
+    return {name: value for name, value in parameters.items() if not name.endswith(".seen_fraction")}
+
+
+def _published_scene(config: DatasetConfig, index: int) -> PublishedScene:
+    with_light = config.store.model_copy(update={"fields": ("transient",)})
+    sample = simulate_sample(config.model_copy(update={"store": with_light}), index)
+    time = config.capture.time.axis()
+    detector = detector_for(config.detector, config.seed, index, time)
+    counts = _in_spans(expected_histogram(sample.arrays["transient"], time, *detector, approximate=True))
+    error = float(sample.parameters["transient.relative_error"])
+    return PublishedScene(room_of(config, index), tuple(counts.round(3).tolist()), error)
+
+
+def _in_spans(histogram: Floats) -> Floats:
+    """(SPANS,) the counts of a histogram (L, P, T) in equal spans of time."""
+    return histogram.sum(axis=(0, 1), dtype=np.float64).reshape(SPANS, -1).sum(axis=1)
+
+
+def check_agreement(dataset: str | Path, published: Published) -> Agreement:
+    """Compare the first scenes of a dataset with the published ones.
+
+    Raises `CheckError`, which names the first number of a room that differs, or how far the counts are off; and
+    `InputError` if a scene is not there.
+    """
+    stored, found, due, allowed = Scenes(dataset), [], [], []
+    for index, scene in enumerate(published.scenes):
+        content = stored.read(index)
+        for name, value in scene.room.items():
+            own = content.parameters.get(name)
+            if not _same(own, value):
+                raise CheckError(
+                    f"{dataset}: scene {index} has another room than published by datagen {published.datagen}: "
+                    f"{name} = {own}, published {value}"
+                )
+        due.append(np.array(scene.counts))
+        found.append(_in_spans(content.arrays["histogram"]))
+        errors = scene.light_error + float(content.parameters["transient.relative_error"])
+        allowed.append(errors * np.linalg.norm(due[-1]))
+    size, drawn = np.linalg.norm(due), COUNTING_SIGMAS * np.sqrt(np.sum(due))
+    agreement = Agreement(
+        float(np.linalg.norm(np.subtract(found, due)) / size), float((np.linalg.norm(allowed) + drawn) / size)
+    )
+    if not agreement.difference <= agreement.allowed:
+        raise CheckError(
+            f"{dataset}: counts of the first {len(due)} scenes are {agreement.difference:.1%} off those published by "
+            f"datagen {published.datagen}; the claimed errors of the light and chance allow {agreement.allowed:.1%}"
+        )
+    return agreement
+
+
+def _same(own: Parameter | None, published: Parameter) -> bool:
+    if isinstance(own, float) and isinstance(published, float):
+        return abs(own - published) <= ROOM_TOLERANCE * max(abs(published), 1.0)
+    return own == published
