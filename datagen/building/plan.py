@@ -186,8 +186,10 @@ AT_LEAST_S = 60.0
 
 
 def scene_limit(text: str, config: DatasetConfig) -> float:
-    """Seconds that the text of `--scene-seconds` means: a number, or `forecast` for `WORTH` times the longest scene of
-    a plan. Raises `InputError` for any other text, and as `plan_build` does."""
+    """Seconds that `--scene-seconds` means: a number, or `forecast` for `WORTH` times the longest scene of a plan.
+
+    Raises `InputError` for any other text, and as `plan_build` does.
+    """
     if text == "forecast":
         return max(AT_LEAST_S, WORTH * plan_build(config).scene_s[2])
     try:
