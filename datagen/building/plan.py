@@ -25,8 +25,9 @@ from datagen.store.summaries import KindEvidence, evidence_by_kind
 
 SECONDS = 5.0
 """After how many seconds no further scene is begun: some ten scenes of an ordinary scan."""
-FEWEST = 2
-"""Fewest scenes that are simulated, however long they take: the seconds of the first are not those of the others."""
+FEWEST = 3
+"""Fewest scenes that are simulated, however long they take: the seconds of the first do not count, as it also loads
+compiled code, and two show how different scenes are."""
 
 Range = tuple[float, float, float]
 """Least value, mean and greatest value."""

@@ -12,8 +12,8 @@ from datagen.records import Scene
 from datagen.scene import generate_scene
 
 MARGIN = 1.1
-"""Factor by which the estimate, whose light is coarse, must exceed the requested evidence, so that stored objects have
-it in nearly all cases."""
+"""Factor by which the estimate, whose light is coarse, must exceed the requested evidence: nearly all stored objects
+then have it."""
 
 
 def scene_for(config: DatasetConfig, index: int) -> Scene:

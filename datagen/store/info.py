@@ -163,6 +163,10 @@ def _decisions(made: Parameters) -> list[str]:
     return ["decisions (scenes)", *lines] if lines else []
 
 
+_DECIDED_BY = {"trial": "trial run", "forced": "configuration", "always": "always simulated"}
+"""Words for kinds of decisions that say too little."""
+
+
 def effect_lines(made: Parameters) -> list[str]:
     """A line for each effect: the scenes in which it was simulated or left out, and the range of its estimates."""
     scenes, lines = [*made], list[str]()
@@ -171,10 +175,10 @@ def effect_lines(made: Parameters) -> list[str]:
         if not there:
             continue
         on = sum(bool(scene[f"effect.{name}.on"]) for scene in there)
-        known = [scene for scene in there if f"effect.{name}.estimate" in scene]
-        estimates = [float(scene[f"effect.{name}.estimate"]) for scene in known]
-        by = ", ".join(sorted({str(scene[f"effect.{name}.kind"]) for scene in known}))
-        span = f"{min(estimates):9.2g} … {max(estimates):.2g} (by {by})" if estimates else ""
-        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
-    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
+        estimates = [float(scene[f"effect.{name}.estimate"]) for scene in there if f"effect.{name}.estimate" in scene]
+        span = f"{min(estimates):.2g} … {max(estimates):.2g}, " if estimates else ""
+        kinds = sorted({str(scene[f"effect.{name}.kind"]) for scene in there})
+        by = ", ".join(_DECIDED_BY.get(kind, kind) for kind in kinds)
+        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}    {span}{by}")
+    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    change if left out ≤, decided by"
     return [head, *lines] if lines else []

@@ -89,8 +89,8 @@ def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Pat
     assert sum(cost.stored["record"] for cost in found) == pytest.approx(kept, rel=0.1)
 
 
-def test_scenes_are_simulated_until_the_seconds_have_passed_but_two_at_least(config: Path) -> None:
-    assert len(simulated_scenes(load_config(config), 1e-9)[0]) == 2
+def test_scenes_are_simulated_until_the_seconds_have_passed_but_three_at_least(config: Path) -> None:
+    assert len(simulated_scenes(load_config(config).with_scenes(9), 1e-9)[0]) == 3
     assert len(simulated_scenes(load_config(config).with_scenes(1), 1e6)[0]) == 1
 
 
