@@ -16,7 +16,7 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types hard-cases bench bench-scaling \
-	bench-detector bench-loaders bench-forecasts bench-evidence bench-foreign bench-targets peers wheel clean
+	bench-detector bench-loaders bench-evidence bench-foreign bench-targets peers wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -29,7 +29,7 @@ help:
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -forecasts, -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -104,7 +104,7 @@ cpu-types: setup
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py
 
-bench: setup bench-scaling bench-detector bench-loaders bench-forecasts bench-evidence bench-foreign bench-targets
+bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-foreign bench-targets
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench peers out/peers
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
@@ -120,9 +120,6 @@ bench-detector: setup
 bench-loaders: setup
 	$(BIN)/python tests/benchmarks/loaders.py
 
-bench-forecasts: setup
-	$(BIN)/python tests/benchmarks/forecasts.py 4 9 configs/quickstart.yaml configs/own_mesh.yaml
-	$(BIN)/python tests/benchmarks/forecasts.py 4 40 configs/furnished_rooms.yaml configs/spad_array.yaml
 
 bench-foreign: setup
 	$(BIN)/python tests/benchmarks/foreign_rooms.py

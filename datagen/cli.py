@@ -35,20 +35,17 @@ def _help_alone(context: click.Context) -> None:
 @click.argument("config")
 @click.option("--scenes", type=int, help="Instead of the configuration's number of scenes.")
 @click.option("--workers", type=int, default=1, show_default=True, help="Processes of the build, one core each.")
-@click.option("--seconds", type=float, default=1.5, show_default=True, help="Budget for simulating pilot scenes.")
-@click.option("--json", "json_path", help="Write the forecast to this file, too.")
-@click.option("--against", help="A dataset built from CONFIG: show what it came to beside what was expected.")
-def plan(
-    config: str, scenes: int | None, workers: int, seconds: float, json_path: str | None, against: str | None
-) -> None:
-    """Check CONFIG and say what building it would make and take. Pilot scenes are simulated, nothing is built."""
+@click.option("--seconds", type=float, default=5.0, show_default=True, help="How long scenes are simulated.")
+@click.option("--json", "json_path", help="Write the plan's numbers to this file, too.")
+def plan(config: str, scenes: int | None, workers: int, seconds: float, json_path: str | None) -> None:
+    """Check CONFIG and say what building it would make and take. A few scenes are simulated, nothing is built."""
+    from datagen.building.plan_text import plan as make_plan
     from datagen.config import load_config
-    from datagen.forecast.text import plan as make_plan
 
     settings = load_config(config)
     if scenes is not None:
         settings = settings.with_scenes(scenes)
-    click.echo(make_plan(settings, workers, seconds, json_path, against))
+    click.echo(make_plan(settings, workers, seconds, json_path))
 
 
 @cli.command()
@@ -164,7 +161,7 @@ def device(names: tuple[str, ...], out: str | None) -> None:
 )
 @click.option(
     "--scene-seconds",
-    help="Give a scene up that takes longer (local workers): seconds, or `forecast` for pilots' worth.",
+    help="Give a scene up that takes longer (local workers): seconds, or `forecast`.",
 )
 @click.option("--quiet", is_flag=True, help="No progress.")
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
@@ -183,7 +180,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
         from datagen.building.build import build as build_dataset
 
         if options["scene_seconds"] is not None:
-            from datagen.forecast.text import scene_limit
+            from datagen.building.plan import scene_limit
 
             options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.config.distributions import largest_count
-from datagen.config.transport import TransportConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
@@ -42,37 +41,33 @@ from datagen.units import path_from_time
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
 
-def simulate_sample(config: DatasetConfig, index: int, planned: TransportConfig | None = None) -> Sample:
+def simulate_sample(config: DatasetConfig, index: int) -> Sample:
     """Scene number `index` of a dataset, from the room to the counts.
 
     A function of its arguments alone: every random stream is keyed by (`config.seed`, index, purpose).
-
-    planned : the accuracy for which the transport's effects are decided; left out: that of `config`. A pilot with
-        fewer samples needs it, so that it follows the same light as the scene that it stands for.
     """
     seconds = dict[str, float]()
     with _timed(seconds, "scene"):
         scene = scene_for(config, index)
         capture = capture_for(config, scene, config.seed, index)
-    return sample_of(config, index, scene, capture, seconds=seconds, planned=planned)
+    return sample_of(config, index, scene, capture, seconds=seconds)
 
 
 def sample_of(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: Floats | None = None, *,
-    seconds: dict[str, float] | None = None, planned: TransportConfig | None = None,
+    seconds: dict[str, float] | None = None,
 ) -> Sample:  # fmt: skip
     """Sample `index` of a scene and a capture, wherever these come from: light, counts, labels.
 
     given : (L, P, T) transient of another simulator, in place of ours. seconds : wall-clock seconds by stage so far,
-    to which those of the stages here are added. planned : as for `simulate_sample`.
+    to which those of the stages here are added.
     """
     seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
         caster = Raycaster(scene)
-        decided_for = config if planned is None else config.model_copy(update={"transport": planned})
         effects = EffectDecisions((), 0.0)
         if given is None:
-            effects = transport_effects(decided_for, scene, capture, index, caster)
+            effects = transport_effects(config, scene, capture, index, caster)
     spad, exposure = detector_for(config.detector, seed, index, capture.time)
     with _timed(seconds, "transport"):
         if given is None:

@@ -21,8 +21,8 @@ Switch = Annotated[Literal["auto", "on", "off"], BeforeValidator(_as_word)]
 class EffectsConfig(Settings):
     """What of the world that the other sections describe is simulated: `auto`, `on` or `off` for each effect.
 
-    The other sections say what there is (bounce orders, materials, dead time …); an effect that they leave no room
-    for stays absent whatever stands here.
+    The other sections say what there is (bounce orders, fog, dead time …); an effect that they leave no room for
+    stays absent whatever stands here. Occlusion, lobes, walls, ambient light and dark counts are always simulated.
     """
 
     tolerance: Annotated[float, Field(ge=0, le=1)] = 0.01
@@ -31,9 +31,6 @@ class EffectsConfig(Settings):
     changes nothing at all is left out."""
     direct_return: Switch = "auto"
     """One and two bounces: the laser point, or a surface it lights, inside the field of view."""
-    occlusion: Switch = "auto"
-    """Shadow rays from light paths to the field of view. `auto` sends those that no proof makes needless, which is
-    exact; `on` sends all; `off` none, as if nothing stood in between."""
     secondary_bounce: Annotated[
         Literal["auto", "on", "off", "strongest"] | Annotated[int, Field(ge=1)], BeforeValidator(_as_word)
     ] = "auto"
@@ -41,18 +38,10 @@ class EffectsConfig(Settings):
     vertex, which needs `transport.observed`."""
     higher_bounces: Switch = "auto"
     """Five bounces and more, as far as `transport.max_bounces` goes."""
-    brdf: Switch = "auto"
-    """Lobes of surfaces that are not Lambertian; left out, such a surface is Lambertian and as bright on average."""
     attenuation: Switch = "auto"
     """Absorption and scattering by the air."""
-    extended_surfaces: Switch = "auto"
-    """Light that walls, floor and ceiling scatter; left out, only objects scatter light back to the relay wall."""
     timing_response: Switch = "auto"
     """Laser pulse, carrier diffusion and jitter (the IRF)."""
-    ambient_light: Switch = "auto"
-    """Background photons."""
-    dark_counts: Switch = "auto"
-    """Avalanches without a photon."""
     pile_up: Switch = "auto"
     """Events lost to the dead time of earlier ones in the same laser cycle. `on` here, and for the next three, asks
     for exact samplers; with `auto` the sampler may be as biased as `detector.tolerance`."""
@@ -83,5 +72,5 @@ class EffectsConfig(Settings):
         """The setting of an effect by its name in the table. A dead time across cycles that is on turns pile-up
         on."""
         setting: str | int = getattr(self, effect)
-        together = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
-        return "on" if together else setting
+        needed = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
+        return "on" if needed else setting

@@ -66,7 +66,7 @@ def light_of(
 
 
 COARSE_TARGET = 0.1
-"""Relative error of the light for estimates, if the configured target is finer. Halved, estimates take longer."""
+"""Relative error of the light for estimates, if the configured target is finer: σ is then known to about a tenth."""
 
 
 def coarse_transient(

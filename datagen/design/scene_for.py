@@ -12,8 +12,8 @@ from datagen.records import Scene
 from datagen.scene import generate_scene
 
 MARGIN = 1.1
-"""Factor by which the estimate, whose light is coarse, must exceed the requested evidence. Halved, which is below 1,
-stored objects would often have less than requested."""
+"""Factor by which the estimate, whose light is coarse, must exceed the requested evidence: nearly all stored objects
+then have it."""
 
 
 def scene_for(config: DatasetConfig, index: int) -> Scene:

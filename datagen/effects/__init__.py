@@ -5,12 +5,11 @@ from datagen.effects.decide import (
     EffectDecisions,
     decide_detector_effects,
     decide_transport_effects,
-    decision_lines,
     plan_effects,
 )
 from datagen.effects.rule import Change, Decision, Effect
 
 __all__ = [
     "EFFECTS", "Change", "Decision", "Effect", "EffectDecisions", "decide_detector_effects",
-    "decide_transport_effects", "decision_lines", "plan_effects",
+    "decide_transport_effects", "plan_effects",
 ]  # fmt: skip

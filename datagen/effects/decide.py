@@ -13,8 +13,7 @@ from datagen.detector import Exposure, Spad
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE
 from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
 from datagen.effects.rule import Decision, Effect, decide
-from datagen.effects.scene_figures import SceneFigures
-from datagen.effects.transport_effects import TRANSPORT_EFFECTS
+from datagen.effects.transport_effects import TRANSPORT_EFFECTS, Transport
 from datagen.effects.trial import few_samples
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
@@ -27,8 +26,7 @@ EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """All effects, in the order in which light meets them."""
 
 PILOT_SAMPLES = 256
-"""Hidden vertices of the transient for which the detector's effects are decided if none is given. With half as many
-its noise is 1.4 times as large."""
+"""Hidden vertices of the transient for which the detector's effects are decided if none is given."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +57,7 @@ class EffectDecisions:
 
     def apply_transport(self, scene: Scene, capture: Capture, accuracy: Accuracy) -> tuple[Scene, Accuracy]:
         """The scene and the accuracy to simulate, without the effects that are left out."""
-        reduced = _applied(TRANSPORT_EFFECTS, self.decisions, SceneFigures(scene, capture, accuracy))
+        reduced = _applied(TRANSPORT_EFFECTS, self.decisions, Transport(scene, capture, accuracy))
         return reduced.scene, reduced.accuracy
 
     def apply_detector(
@@ -87,7 +85,7 @@ def decide_transport_effects(
     caster: Raycaster | None = None,
 ) -> EffectDecisions:  # fmt: skip
     """The decisions on the transport's effects; parameters as of `plan_effects`, and the scene's caster, if any."""
-    return _decided(TRANSPORT_EFFECTS, SceneFigures(scene, capture, accuracy, seed, caster), settings)
+    return _decided(TRANSPORT_EFFECTS, Transport(scene, capture, accuracy, seed, caster), settings)
 
 
 def decide_detector_effects(
@@ -148,18 +146,6 @@ def plan_effects(
         transient = transient_of(reduced_scene, capture, few, seed=seed, split_parts=False)
     seen = (transient.total, capture.time, spad, exposure or Exposure())
     return decided + decide_detector_effects(*seen, settings, tolerance)
-
-
-def decision_lines(decided: EffectDecisions) -> list[str]:
-    """A heading, and a line for each decision: the effect, whether it is on, its change, and the reason."""
-    titles = {row.name: row.title for row in EFFECTS}
-    lines = [f"{'effect':30}{'is':5}{'from':8}{'change':>9}  why"]
-    for decision in decided.decisions:
-        state = "on" if decision.simulated else "off" if decision.left_out else "–"
-        value = None if decision.kind == "absent" else decision.estimate
-        number = "" if value is None else "> 1" if value > 1 else f"{value:.2g}"
-        lines.append(f"{titles[decision.effect]:30}{state:5}{decision.kind:8}{number:>9}  {decision.reason}")
-    return lines
 
 
 def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:

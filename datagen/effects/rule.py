@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
-Stage = Literal["transport", "detector"]
 Kind = Literal["bound", "trial", "always", "forced", "absent"]
 Given = TypeVar("Given")
 
@@ -27,28 +26,23 @@ class Change:
 
 @dataclass(frozen=True)
 class Effect(Generic[Given]):
-    """One row of the table of effects. `Given` is the input of its stage: `SceneFigures` or `Detection`.
+    """One row of the table of effects. `Given` is the input of its stage: `Transport` or `Detection`.
 
     name : key of the effect in the configuration's section `effects`.
     title : name of the effect for people.
-    needs : what makes the effect present, in words.
-    reference : source of its physics, and of the estimate of its change.
-    saves : about the largest share of its stage's time that leaving it out can save; 0 if it saves none.
     present : whether there is anything to simulate.
-    change : the change if it is left out; or a sentence that says why it is always simulated under `auto`.
     without : the input of the stage without the effect.
+    change : the change if it is left out; None for an effect that `auto` always simulates.
+    saves : about the largest share of its stage's time that leaving it out can save; 0 if it saves none.
     always : the input of the stage with the effect switched on by the setting, the second argument.
     """
 
     name: str
     title: str
-    stage: Stage
-    needs: str
-    reference: str
-    saves: float
     present: Callable[[Given], bool]
-    change: Callable[[Given], Change] | str
     without: Callable[[Given], Given]
+    change: Callable[[Given], Change] | None = None
+    saves: float = 0.0
     always: Callable[[Given, str | int], Given] = lambda given, setting: given
 
 
@@ -67,7 +61,6 @@ class Decision:
     """
 
     effect: str
-    stage: Stage
     setting: str | int
     simulated: bool
     estimate: float | None
@@ -92,31 +85,24 @@ def decide(
     """
     rows = list(rows)
     decisions: dict[str, Decision] = {}
-    spent = 0.0
+    left_out = 0.0
     for row in sorted(rows, key=lambda r: -r.saves):
-        allowance = max((1.0 + tolerance) / (1.0 + spent) - 1.0, 0.0)
+        allowance = max((1.0 + tolerance) / (1.0 + left_out) - 1.0, 0.0)
         decision = _decided(row, given, setting_of(row.name), allowance)
         if decision.left_out and decision.estimate is not None:
-            spent = (1.0 + spent) * (1.0 + decision.estimate) - 1.0
+            left_out = (1.0 + left_out) * (1.0 + decision.estimate) - 1.0
         decisions[row.name] = decision
     return tuple(decisions[row.name] for row in rows)
 
 
 def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: float) -> Decision:
     """The decision on one effect, which may change the result by `allowance`."""
-    simulated = True
-    value: float | None = None
-    kind: Kind = "forced"
     if not row.present(given):
-        simulated, value, kind, reason = False, 0.0, "absent", f"there is none: it needs {row.needs}"
-    elif setting == "off":
-        simulated, reason = False, "switched off"
-    elif setting != "auto":
-        reason = "switched on" if setting == "on" else f"switched on: {setting}"
-    elif isinstance(row.change, str):
-        kind, reason = "always", row.change
-    else:
-        change = row.change(given)
-        simulated = not (change.value is not None and change.value <= allowance)
-        value, kind, reason = change.value, change.kind, change.reason
-    return Decision(row.name, row.stage, setting, simulated, value, kind, allowance, reason)
+        return Decision(row.name, setting, False, 0.0, "absent", allowance, "there is none")
+    if setting != "auto":
+        return Decision(row.name, setting, setting != "off", None, "forced", allowance, f"switched: {setting}")
+    if row.change is None:
+        return Decision(row.name, setting, True, None, "always", allowance, "leaving it out saves nothing")
+    change = row.change(given)
+    simulated = change.value is None or change.value > allowance
+    return Decision(row.name, setting, simulated, change.value, change.kind, allowance, change.reason)

@@ -1,8 +1,7 @@
 """The trial run: the transport at a fiftieth of its cost, which measures how much of the light has how many bounces.
 
-It consists of two independent runs a and b for a few channels (pairs of laser point and pixel). One call makes both
-if it can tell them apart, for small runs cost little beside their preparation. A component x is compared with T, all
-light of three bounces and more, by
+It consists of two independent runs a and b for a few channels (pairs of laser point and pixel). A component x is
+compared with T, all light of three bounces and more, by
 
     ‖(x_a + x_b)/2‖ / √(T_a · T_b).
 
@@ -11,13 +10,10 @@ component but never the whole. The uncertainty that comes from the choice of cha
 errors (jackknife over channels).
 The direct return is no part of T, although it is part of the transient: it may be 10⁴ times as bright as all other
 light, which a gate then lets through alone. The trial run does not simulate it either, because few channels have a
-direct return; a bound decides on it (`scene_figures.py`).
+direct return; a bound decides on it (`transport_effects.py`).
 
-Channels in regular steps would not do: every 8th of 16 × 16 laser points are two of the 16 columns, and every 8th of
-8 × 8 pixels one other column, which never looks at any of them. Therefore places are chosen by farthest-point
-sampling (Gonzalez, Theoretical Computer Science 38 (1985)), each as far as possible from those chosen before. Half of
-them are chosen among the laser points that lie in a pixel, and among the pixels in which a chosen laser point lies;
-if there are none, those that come nearest to it are taken.
+Channels in regular steps would not do: every 8th of 16 × 16 laser points are two of the 16 columns. They are chosen
+by farthest-point sampling (Gonzalez, Theoretical Computer Science 38 (1985)).
 """
 
 from __future__ import annotations
@@ -31,34 +27,28 @@ import numpy as np
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport import transient_of
-from datagen.transport.error_control.cost import BIN, CALL, RAY
-from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.error_control.cost import RAY
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
 SHARE = 0.02
-"""Share of the transport's cost that a trial run may take. Halved, its estimates are noisier and leave out less."""
+"""Share of the transport's cost that a trial run may take: with less its estimates are noisier and leave out less."""
 LARGEST_SHARE = 0.1
-"""Share of the cost above which no trial run is made. Halved, more small transports have all effects."""
-OVERHEAD = 60_000.0
-"""Fixed cost of a call, in shadow rays: preparing the scene, and tracing each order for few paths. Halved, two calls
-are made where one would be cheaper."""
+"""Share of the cost above which no trial run is made, and all orders of a small transport are simulated."""
 FEWEST_PATHS, MOST_PATHS = 512, 4096
-"""Paths of each of the two runs, all channels together. With half as many the noise is 1.4 times as large."""
+"""Paths of each of the two runs, all channels together; 4096 know a share of a tenth to some per cent of it."""
 LASERS, PIXELS = 32, 8
-"""Most laser points, and most pixels of each. With half as many the error of the choice is 1.4 times as large."""
+"""Most laser points, and most pixels of each: the error of the choice falls with the root of their number."""
 COMPONENTS = 3
 """Primary, secondary and higher light."""
-MOST_ORDERS = 8
-"""Most bounces that count for the cost, as few paths are longer. Halved, the cost of long paths is underrated."""
 BINS = 512
 """Most bins for the norm of the whole; longer time axes are rebinned to wider ones, which makes the norm smaller,
-never larger. Halved, components are overrated more."""
+never larger, and less noisy."""
 VALUES = 1 << 22
-"""Most histogram values of a run, 32 MB. Halved, long time axes leave room for half the channels."""
+"""Most histogram values of a run, 32 MB."""
 MOST_UNSEEN = 3.0
 """Number of paths of a component that may be missing if none was seen: seeing none of 3 expected ones has a
-probability of 5 %. Halved, of 22 %."""
+probability of 5 %."""
 
 
 @dataclass(frozen=True)
@@ -104,78 +94,39 @@ class Trial:
 def _jackknife(above: Floats, below: Floats, ratio: float) -> float:
     """Standard error of Σ above / Σ below over independent channels; the ratio itself if there are under four."""
     n = len(above)
-    if n < 4:
-        return ratio
     rest = below.sum() - below
-    if (rest <= 0).any():
+    if n < 4 or (rest <= 0).any():
         return ratio
     without = (above.sum() - above) / rest
     return float(np.sqrt((n - 1) / n * np.square(without - without.mean()).sum()))
 
 
+def _paths(capture: Capture, accuracy: Accuracy) -> float:
+    """Paths of each of two runs that together cost as much as one order of the transport, in shadow rays."""
+    pixels = capture.shape[1]
+    cost = len(capture.laser.targets) * accuracy.lookins * (RAY + pixels * accuracy.fov_samples)
+    return cost / (2 * (RAY + min(pixels, PIXELS)))
+
+
 def affordable(capture: Capture, accuracy: Accuracy) -> bool:
     """Whether the smallest trial run costs at most `LARGEST_SHARE` of the transport; always true with a target."""
-    if accuracy.target is not None:
-        return True
-    return _Size.of(capture, FEWEST_PATHS).cost(capture, accuracy) <= LARGEST_SHARE * _cost(capture, accuracy)
-
-
-@dataclass(frozen=True)
-class _Size:
-    """The size of a trial run: laser points, pixels and paths of each run, and histogram entries of each channel.
-
-    at_once : whether one call makes both runs, with a capture that holds the channels twice.
-    """
-
-    lasers: int
-    pixels: int
-    entries: int
-    paths: int
-    at_once: bool
-
-    @classmethod
-    def of(cls, capture: Capture, paths: int) -> _Size:
-        """The size of a trial run of so many paths."""
-        lasers, (_, pixels, bins) = len(capture.laser.targets), capture.shape
-        entries = bins * COMPONENTS
-        channels = int(np.clip(VALUES // entries, 1, LASERS * PIXELS))
-        seen = min(pixels, PIXELS, channels)
-        lit = min(lasers, LASERS, max(channels // seen, 1))
-        # With L laser points and P pixels there twice, 2 L P pairs are between different copies and of no use. Flood
-        # illumination gives the mean over laser points, which cannot be separated into copies.
-        idle = 0 if capture.pairing == "confocal" else 2 * lit * seen * entries
-        return cls(lit, seen, entries, paths, capture.illumination == "scan" and BIN * idle <= OVERHEAD)
-
-    def cost(self, capture: Capture, accuracy: Accuracy) -> float:
-        """Cost of the trial run in the units of `_cost`."""
-        orders = min(accuracy.max_bounces or MOST_ORDERS, MOST_ORDERS) - 2
-        copies = 2 if self.at_once and capture.pairing != "confocal" else 1
-        calls = OVERHEAD * (1 if self.at_once else 2) + 2 * copies * BIN * self.lasers * self.pixels * self.entries
-        return calls / orders + 2 * self.paths * (RAY + copies * self.pixels)
+    return accuracy.target is not None or LARGEST_SHARE * _paths(capture, accuracy) >= FEWEST_PATHS
 
 
 def run_trial(
-    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster | None = None
+    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster, points: LaserPoints
 ) -> Trial:
     """Two independent simulations of a few channels of the capture, with all orders from three bounces on."""
-    budget = MOST_PATHS
-    if accuracy.target is None:
-        budget = int(SHARE * _cost(capture, accuracy) / (2 * (RAY + min(capture.shape[1], PIXELS))))
-    size = _Size.of(capture, int(np.clip(budget, FEWEST_PATHS, MOST_PATHS)))
-    few = replace(few_samples(accuracy, max(size.paths // size.lasers, 1)), direct=False)
-    caster = Raycaster(scene) if caster is None else caster
-    points = LaserPoints.of(caster, scene, capture.laser)
-    lasers, pixels = trial_channels(capture, points, size.lasers, size.pixels)
-    copies = 2 if size.at_once else 1
-    twice = capture.excerpt(np.tile(lasers, copies), np.tile(pixels, copies))
-    runs = [transient_of(scene, twice, few, seed=seed, split_parts=False, caster=caster)]
-    # The factorised form shares its points between laser points, so the copies in one call are not independent.
-    if not size.at_once or (runs[0].spend is not None and "factorised" in "".join(runs[0].spend.way.values())):
-        once = capture.excerpt(lasers, pixels)
-        again = (seed + 1) % 2**64
-        runs.append(transient_of(scene, once, few, seed=again, split_parts=False, caster=caster))
-    shape = capture.excerpt(lasers, pixels).shape[:2]
-    return Trial(_paired([run.components for run in runs], shape), shape[1])
+    paths = MOST_PATHS if accuracy.target is not None else SHARE * _paths(capture, accuracy)
+    lasers, pixels = trial_channels(capture, points)
+    each = max(int(np.clip(paths, FEWEST_PATHS, MOST_PATHS)) // len(lasers), 1)
+    few, channels = replace(few_samples(accuracy, each), direct=False), capture.excerpt(lasers, pixels)
+    runs = [
+        transient_of(scene, channels, few, seed=(seed + k) % 2**64, split_parts=False, caster=caster).components
+        for k in range(2)
+    ]
+    light = {name: np.stack([run[name].reshape(-1, capture.shape[2]) for run in runs]) for name in runs[0]}
+    return Trial(light, channels.shape[1])
 
 
 def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
@@ -185,109 +136,35 @@ def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
     return Accuracy(lookins=samples, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
 
 
-def _paired(runs: list[Mapping[str, Floats]], shape: tuple[int, int]) -> dict[str, Floats]:
-    """Component → (2, channel, bin) light of two runs of `shape` laser points and pixels.
-
-    The first run lies in the first rows and columns of the first arrays, the second in the last of the last arrays.
-    """
-    lasers, pixels = shape
-
-    def pair(name: str) -> Floats:
-        corners = runs[0][name][:lasers, :pixels], runs[-1][name][-lasers:, -pixels:]
-        return np.stack([corner.reshape(-1, corner.shape[2]) for corner in corners])
-
-    return {name: pair(name) for name in runs[0]}
-
-
-def _cost(capture: Capture, accuracy: Accuracy) -> float:
-    """Cost of one order of the transport, in shadow rays; see `transport/error_control/cost.py`."""
-    lasers, pixels = len(capture.laser.targets), capture.shape[1]
-    return lasers * accuracy.lookins * (RAY + pixels * accuracy.fov_samples) + CALL * accuracy.replicates
-
-
-PAIRS_AT_ONCE = 1 << 20
-"""Pairs of laser points and pixels in one call of numpy: 100 MB of intermediate arrays. Halved, half of that."""
-AS_FAR = 1e-9
-"""Distances that agree to this share of the largest count as equal, and the lower number goes first: on a regular
-grid ties are the rule, and rounding, which differs between processors, must not decide them. Halved, it does not
-either."""
-INSIDE = -1e-9
-"""Least sine of the angle to the nearest side of a pixel at which a laser point counts as inside, so that points on
-an edge do. Halved, they still do."""
-
-
-def trial_channels(capture: Capture, points: LaserPoints, lasers: int, pixels: int) -> tuple[Ints, Ints]:
-    """Numbers, ascending, of at most `lasers` laser points and `pixels` pixels of a capture.
+def trial_channels(capture: Capture, points: LaserPoints) -> tuple[Ints, Ints]:
+    """Numbers, ascending, of at most `LASERS` laser points and `PIXELS` pixels of a capture.
 
     Laser points whose ray meets nothing are chosen only if there are no others. In confocal pairing the numbers of
     the pixels have no meaning, as each laser point has its own pixel.
     """
+    channels = max(VALUES // (capture.shape[2] * COMPONENTS), 1)
+    count = min(capture.shape[1], PIXELS, channels)
     there = np.flatnonzero(points.part >= 0)
+    place = points.position[there]
     if not len(there):
-        there = np.arange(len(points.part))
-        place = np.asarray(capture.laser.targets)
-    else:
-        place = points.position[there]
+        place, there = np.asarray(capture.laser.targets), np.arange(len(points.part))
+    lit = there[_spread_out(place, min(LASERS, max(channels // count, 1)))]
     if capture.pairing == "confocal":
-        return there[_spread_out(place, lasers)], np.arange(min(pixels, len(capture.sensor.pixels)))
-    sensor = capture.sensor
-    cones = PixelCones.of(sensor)
-    lit = there[_paired_and_spread(place, _depth(cones, place - sensor.position)[0], lasers)]
-    seen = sensor.pixels.mean(axis=1) - sensor.position
-    chosen = place[np.searchsorted(there, lit)]
-    deepest = _depth(cones, chosen - sensor.position)[1]
-    return lit, _paired_and_spread(seen / np.linalg.norm(seen, axis=1, keepdims=True), deepest, pixels)
+        return lit, np.arange(count)
+    seen = capture.sensor.pixels.mean(axis=1) - capture.sensor.position
+    return lit, _spread_out(seen / np.linalg.norm(seen, axis=1, keepdims=True), count)
 
 
-def _depth(cones: PixelCones, span: Floats) -> tuple[Floats, Floats]:
-    """(L,) depth of each direction `span` (L, 3) inside the pixel in which it lies deepest, and (P,) depth of the
-    direction that lies deepest in each pixel: the sine of the angle to the nearest side, below 0 outside."""
-    planes = cones.planes / np.linalg.norm(cones.planes, axis=2, keepdims=True)
-    span = span / np.linalg.norm(span, axis=1, keepdims=True)
-    of_laser, of_pixel = np.empty(len(span)), np.full(len(planes), -np.inf)
-    step = max(PAIRS_AT_ONCE // len(planes), 1)
-    for start in range(0, len(span), step):
-        depth = np.einsum("psk,lk->lps", planes, span[start : start + step]).min(axis=2)
-        of_laser[start : start + step] = depth.max(axis=1)
-        of_pixel = np.maximum(of_pixel, depth.max(axis=0))
-    return of_laser, of_pixel
-
-
-def _paired_and_spread(place: Floats, depth: Floats, count: int) -> Ints:
-    """Numbers of `count` of the places (n, 3), half of which have a counterpart (depth ≥ 0) or come nearest to it."""
-    count = min(count, len(place))
-    half = -(-count // 2)
-    paired = np.flatnonzero(depth >= INSIDE)
-    if len(paired) >= half:
-        first = paired[_spread_out(place[paired], half)]
-    else:
-        first = np.argsort(-np.rint(depth / AS_FAR), kind="stable")[:half]
-    return _spread_out(place, count, first)
-
-
-def _spread_out(place: Floats, count: int, first: Ints | None = None) -> Ints:
-    """Numbers, ascending, of `count` of the places (n, 3), or of all if they are fewer.
-
-    They are `first`, and then in each step the place farthest from those chosen before; without `first` the place
-    farthest from the middle of all comes first.
-    """
-    count = min(count, len(place))
-    middle = place.mean(axis=0)
-    unit = float(np.linalg.norm(place - middle, axis=1).max()) or 1.0
-
-    def distance(k: int | None) -> Floats:
-        far = np.linalg.norm(place - (middle if k is None else place[k]), axis=1)
-        return np.asarray(np.rint(far / (AS_FAR * unit)))
-
-    chosen = [] if first is None else [int(k) for k in first]
-    nearest = distance(None) if not chosen else np.full(len(place), np.inf)
-    for k in chosen:
-        nearest = np.minimum(nearest, distance(k))
-    while len(chosen) < count:
-        free = nearest.copy()
-        free[chosen] = -1.0
-        k = int(free.argmax())
+def _spread_out(place: Floats, count: int) -> Ints:
+    """Numbers, ascending, of `count` of the places (n, 3), or of all if they are fewer: first the place farthest from
+    the middle of all, then always the place farthest from those chosen before."""
+    chosen = list[int]()
+    nearest = np.linalg.norm(place - place.mean(axis=0), axis=1)
+    for _ in range(min(count, len(place))):
+        k = int(nearest.argmax())
+        distance = np.linalg.norm(place - place[k], axis=1)
         # The distance from the middle decides the first place only.
-        nearest = distance(k) if not chosen else np.minimum(nearest, distance(k))
+        nearest = np.minimum(nearest, distance) if chosen else distance
         chosen.append(k)
+        nearest[chosen] = -1.0
     return np.sort(np.array(chosen, np.int64))

@@ -48,7 +48,7 @@ def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     sections = [
         [f"{manifest.config['name']}: {manifest.config['description']}".rstrip(": ")],
         _origin(manifest, records), _fields(manifest, records), [place] if place else [], _times(records),
-        _accuracy(made), _evidence(made), _decisions(made), _effects(made),
+        _accuracy(made), _evidence(made), _decisions(made), effect_lines(made),
         [f"{len(failures)} scenes could not be made", *shown] if failures else [],
     ]  # fmt: skip
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
@@ -161,16 +161,22 @@ def _decisions(made: Parameters) -> list[str]:
     return ["decisions (scenes)", *lines] if lines else []
 
 
-def _effects(made: Parameters) -> list[str]:
+_DECIDED_BY = {"trial": "trial run", "forced": "configuration", "always": "always simulated"}
+"""Words for kinds of decisions that say too little."""
+
+
+def effect_lines(made: Parameters) -> list[str]:
     """A line for each effect: the scenes in which it was simulated or left out, and the range of its estimates."""
-    lines = []
-    for name in dict.fromkeys(name.split(".")[1] for scene in made for name in scene if name.startswith("effect.")):
-        there = [scene for scene in made if scene.get(f"effect.{name}.kind", "absent") != "absent"]
+    scenes, lines = [*made], list[str]()
+    for name in dict.fromkeys(name.split(".")[1] for scene in scenes for name in scene if name.startswith("effect.")):
+        there = [scene for scene in scenes if scene.get(f"effect.{name}.kind", "absent") != "absent"]
         if not there:
             continue
         on = sum(bool(scene[f"effect.{name}.on"]) for scene in there)
         estimates = [float(scene[f"effect.{name}.estimate"]) for scene in there if f"effect.{name}.estimate" in scene]
-        span = f"{min(estimates):9.2g} … {max(estimates):.2g}" if estimates else ""
-        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}  {span}".rstrip())
-    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    leaving out changes the answer by ≤"
+        span = f"{min(estimates):.2g} … {max(estimates):.2g}, " if estimates else ""
+        kinds = sorted({str(scene[f"effect.{name}.kind"]) for scene in there})
+        by = ", ".join(_DECIDED_BY.get(kind, kind) for kind in kinds)
+        lines.append(f"  {name:25}{on:>9}{len(there) - on:>10}    {span}{by}")
+    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    change if left out ≤, decided by"
     return [head, *lines] if lines else []

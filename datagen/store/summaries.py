@@ -3,7 +3,6 @@ by kind, how often objects were placed again, and where label images lie relativ
 
 from __future__ import annotations
 
-import math
 import re
 import statistics
 from collections.abc import Iterable, Mapping
@@ -19,8 +18,6 @@ LEAST = 3.0
 empty room in 15 would look as if the object were there, instead of one in 700."""
 SHARE = 0.9
 """Fraction of the objects that an advice brings over `LEAST`; with half, every other object would stay below."""
-NEAR = 5
-"""Least number of objects for which a distance is stated; with half as many it could come from one lucky object."""
 PLACED_ANEW = "evidence.placed_anew"
 """Parameter of a scene: how often its objects were placed again for want of evidence."""
 OVER_M = 0.01
@@ -42,8 +39,6 @@ class KindEvidence:
     under_3, under_1 : fractions with a significance below 3 and 1.
     exposure_factor : factor of the exposure that would bring `SHARE` of the objects over `LEAST`, since significance
         grows with the square root of the exposure; 1 if they are over it, infinite if too many bring no light at all.
-    within_m : distance up to which `SHARE` of the objects are over `LEAST`; NaN if that many of all objects are, if
-        fewer than `NEAR` objects are so near, or if distances are unknown.
     """
 
     kind: str
@@ -52,51 +47,34 @@ class KindEvidence:
     under_3: float
     under_1: float
     exposure_factor: float
-    within_m: float = math.nan
 
 
-def evidence_by_kind(scenes: Parameters, together: str | None = None) -> list[KindEvidence]:
+def evidence_by_kind(scenes: Parameters, as_one: str | None = None) -> list[KindEvidence]:
     """The evidence of each kind of object, in alphabetical order; empty if no evidence is stored.
 
-    scenes : parameters; `PART.away_m` is the distance of an object.
-    together : name under which all kinds are counted as one.
+    as_one : name under which all kinds are counted as one.
     """
-    return [_evidence(kind, *np.array(objects).T) for kind, objects in _objects_by_kind(scenes, together).items()]
+    objects = significance_by_kind(scenes, as_one)
+    return [_evidence(kind, np.array(sigma)) for kind, sigma in objects.items()]
 
 
-def significance_by_kind(scenes: Parameters) -> dict[str, list[float]]:
-    """Kind, in alphabetical order → the significance of each of its objects."""
-    return {kind: [sigma for sigma, _ in objects] for kind, objects in _objects_by_kind(scenes).items()}
-
-
-def _objects_by_kind(scenes: Parameters, together: str | None = None) -> dict[str, list[tuple[float, float]]]:
-    """Kind → significance and distance of each of its objects."""
-    kinds: dict[str, list[tuple[float, float]]] = {}
+def significance_by_kind(scenes: Parameters, as_one: str | None = None) -> dict[str, list[float]]:
+    """Kind, in alphabetical order → the significance of each of its objects; `as_one` as of `evidence_by_kind`."""
+    kinds: dict[str, list[float]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
             match = _SIGNIFICANCE.fullmatch(name)
             if match and isinstance(value, int | float):
-                away = parameters.get(f"{match[1]}.away_m")
-                one = float(value), float(away) if isinstance(away, float) else math.nan
                 # The kind is the name of the part without its number (box_2: box).
-                kinds.setdefault(together or re.sub(r"_\d+$", "", match[1]), []).append(one)
+                kinds.setdefault(as_one or re.sub(r"_\d+$", "", match[1]), []).append(float(value))
     return dict(sorted(kinds.items()))
 
 
-def _evidence(kind: str, sigma: Floats, away_m: Floats) -> KindEvidence:
+def _evidence(kind: str, sigma: Floats) -> KindEvidence:
     weak = float(np.quantile(sigma, 1 - SHARE, method="lower"))
     factor = float("inf") if weak <= 0 else max((LEAST / weak) ** 2, 1.0)
     under_3, under_1 = (float((sigma < limit).mean()) for limit in (LEAST, 1.0))
-    within_m = _within_m(sigma, away_m) if under_3 > 1 - SHARE else math.nan
-    return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor, within_m)
-
-
-def _within_m(sigma: Floats, away_m: Floats) -> float:
-    """The greatest distance within which `SHARE` of the objects are over `LEAST`."""
-    order = np.argsort(away_m, kind="stable")
-    over = np.cumsum(sigma[order] >= LEAST) / np.arange(1, len(sigma) + 1)
-    near = np.flatnonzero(over >= SHARE)
-    return float(away_m[order][near[-1]]) if len(near) and near[-1] + 1 >= NEAR else math.nan
+    return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor)
 
 
 def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
@@ -105,9 +83,8 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
     for k in kinds:
         line = f"{k.kind}: {k.median:.2g} σ in the median of {k.objects}, {k.under_3:.0%} under {LEAST:g} σ"
         if k.exposure_factor > 1:
-            ways = [f"{k.exposure_factor:.2g} × the exposure" if k.exposure_factor < 1e6 else "no exposure"]
-            ways += [] if math.isnan(k.within_m) else [f"at most {k.within_m:.2g} m away,"]
-            line += f"; {', or '.join(ways)} would bring {SHARE:.0%} over"
+            times = f"{k.exposure_factor:.2g} × the exposure" if k.exposure_factor < 1e6 else "no exposure"
+            line += f"; {times} would bring {SHARE:.0%} over"
         lines.append(line)
     return lines
 

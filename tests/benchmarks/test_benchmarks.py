@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import detector, evidence, forecasts, loaders, scaling
+from benchmarks import detector, evidence, loaders, scaling
 from torch.utils.data import IterableDataset
 
 from datagen.config import config_from_mapping
@@ -67,15 +67,6 @@ def test_scaling(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scaling, "SWEEPS", {"lookins": tiny})
     name, seconds, exponent = scaling.swept("lookins")
     assert name == "lookins" and seconds.count(";") == 2 and np.isfinite(float(exponent))
-
-
-def test_forecasts() -> None:
-    config = config_from_mapping({
-        "name": "tiny", "scenes": 8, "transport": {"lookins": 256, "fov_samples": 1},
-        "capture": {"scan": {"rows": 3, "columns": 3}, "time": {"bins": 108, "bin_width_ps": 800}},
-    })  # fmt: skip
-    name, scenes, _, *cells = forecasts.row(config, 2, 5)
-    assert (name, scenes) == ("tiny", "2") and all("→" in cell for cell in cells)
 
 
 def test_evidence_is_that_of_the_samples() -> None:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from concurrent.futures import Future
 from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from damage import reseal
@@ -115,20 +113,6 @@ def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert out.read_bytes()[:4] == b"\x89PNG"
     assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "0"]) == 2
     assert "count" in capsys.readouterr().err
-
-
-def test_plan_says_what_will_be_built(
-    built: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    # Of a worker process, which tests/forecast/test_plan.py starts.
-    answer = Future[float]()
-    answer.set_result(1.0)
-    engine = SimpleNamespace(submit=lambda *_: answer)
-    monkeypatch.setattr("datagen.forecast.text.started", lambda *_: nullcontext(engine))
-    assert run(["plan", str(built / "tiny.yaml"), "--scenes", "10"]) == 0
-    text = capsys.readouterr().out
-    assert "4 laser points × 1 pixel × 64 bins of 800 ps" in text and "shards     5 of 2 scenes" in text
-    assert "5.12 kB" in text, "10 scenes of 4 × 64 counts of two bytes"
 
 
 def test_the_schema_in_the_repository_is_the_one_the_code_has(capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,8 +57,7 @@ def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e6, "cycles": 10000, "dark_count_rate_hz": 1e-4,
-                "ambient_rate_hz": 1e-3, "dead_time_ns": 10, "counter_max": 1000,
-                "repetition_rate_mhz": 1, "gate": {"start_ns": 8.0, "width_ns": 900.0}, "tdc_dnl": 1e-5,
+                "ambient_rate_hz": 1e-3, "dead_time_ns": 10, "repetition_rate_mhz": 1, "tdc_dnl": 1e-5,
             },
         }
     )  # fmt: skip

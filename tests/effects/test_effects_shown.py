@@ -32,8 +32,8 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_info_counts_scenes_by_decision(dataset: Path) -> None:
     lines = {line.split()[0]: line.split()[1:] for line in info(dataset).splitlines() if line.strip()}
-    assert lines["secondary_bounce"] == ["0", "1"]
-    assert lines["direct_return"] == ["1", "0"]
+    assert lines["secondary_bounce"] == ["0", "1", "configuration"]
+    assert lines["direct_return"] == ["1", "0", "configuration"]
     assert lines["timing_response"][:2] == ["0", "1"] and float(lines["timing_response"][2]) <= 0.01
     assert "higher_bounces" not in lines
     assert "effects" in lines

@@ -16,7 +16,6 @@ from datagen.effects import EffectDecisions, decide_transport_effects
 from datagen.effects.trial import LASERS, PIXELS, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
-from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
@@ -107,24 +106,18 @@ def test_zone_sensor_has_its_first_return_in_every_scene() -> None:
     [((16, 16), (8, 8)), ((32, 32), (1, 1)), ((1, 64), (1, 32)), ((5, 7), (9, 5)), ((1, 1), (16, 16))],
 )
 def test_trial_channels_reach_everywhere(scan: tuple[int, int], view: tuple[int, int]) -> None:
-    """No laser point and no pixel is farther from a chosen one than about twice the best possible distance, and some
-    of the chosen pixels contain chosen laser points."""
+    """No laser point and no pixel is farther from a chosen one than about twice the best possible distance."""
     scene, half_m = furnished_box(0.5), 0.7
     capture = exhaustive(grid(*scan), zones(*view))
     points = LaserPoints.of(Raycaster(scene), scene, capture.laser)
-    lit, seen = trial_channels(capture, points, LASERS, PIXELS)
+    lit, seen = trial_channels(capture, points)
     assert len(set(lit)) == len(lit) == min(LASERS, scan[0] * scan[1])
     assert len(set(seen)) == len(seen) == min(PIXELS, view[0] * view[1])
     middle = capture.sensor.pixels.mean(axis=1)
     for place, chosen in ((points.position, lit), (middle, seen)):
         far = np.linalg.norm(place[:, None] - place[chosen], axis=2).min(axis=1).max()
-        # Half of the places are free to spread: n of them in a square of side a leave no gap beyond about 2 a / √n.
-        assert far <= 2 * (2 * half_m) / np.sqrt(max(len(chosen) // 2, 1))
-    planes = PixelCones.of(capture.sensor).planes
-    depth = np.einsum("psk,lk->pls", planes, points.position[lit] - capture.sensor.position).min(axis=2)
-    # A laser point on an edge lies in both pixels.
-    holding = (depth >= -1e-9).any(axis=1)
-    assert holding[seen].sum() >= min(PIXELS // 2, holding.sum())
+        # n places in a square of side a leave no gap beyond about 2 a / √n.
+        assert far <= 2 * (2 * half_m) / np.sqrt(len(chosen))
     if scan == (16, 16):
         assert len({int(k) % 16 for k in lit}) > 8
 

@@ -157,28 +157,6 @@ def test_the_dead_time_that_an_object_causes_separates_further() -> None:
     assert found.beyond < 4.0 < (found.measured - found.stated) / found.error
 
 
-def placed(sigma: list[float], away_m: list[float]) -> list[dict[str, float]]:
-    """Parameters of scenes with one object each, of significance `sigma` at the distance `away_m`."""
-    pairs = zip(sigma, away_m, strict=True)
-    return [{"evidence.box.significance": s, "box.away_m": a} for s, a in pairs]
-
-
-def test_the_summary_states_the_distance_within_which_objects_are_detected() -> None:
-    """It is the largest distance within which nine in ten objects are over 3 σ; without one, none is stated."""
-    away = np.arange(1.0, 21.0)
-    sigma = 100 / away**2
-    (box,) = evidence_by_kind(placed(sigma.tolist(), away.tolist()))
-    # The five objects up to 5.8 m are over 3 σ; with the sixth fewer than nine in ten are.
-    assert box.within_m == 5.0
-    assert evidence_lines([box])[0].endswith("the exposure, or at most 5 m away, would bring 90% over")
-    shuffled = np.random.default_rng(0).permutation(20)
-    assert evidence_by_kind(placed(sigma[shuffled].tolist(), away[shuffled].tolist())) == [box]
-    for others in (placed([9.0] * 20, away.tolist()), placed(sigma[1:].tolist(), away[1:].tolist()),
-                   placed(sigma[::-1].tolist(), away.tolist()), placed(sigma.tolist(), [np.nan] * 20)):  # fmt: skip
-        (box,) = evidence_by_kind(others)
-        assert np.isnan(box.within_m) and "away" not in evidence_lines([box])[0]
-
-
 def test_the_summary_of_kinds() -> None:
     sigma = {"box": [1.5, 30.0], "box_2": [6.0], "cone": [0.5], "ghost": [0.0]}
     scenes = [

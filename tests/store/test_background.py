@@ -31,7 +31,7 @@ def config(transport: dict[str, Any] | None = None, fields: tuple[str, ...] = FI
             "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 96, "bin_width_ps": 600}},
             "transport": transport or {"target": 0.1},
             # Decided for the room with its objects, effects may be others than for the room without.
-            "effects": {"pile_up": "on", "occlusion": "on"},
+            "effects": {"pile_up": "on"},
             "detector": {"cycles": 30_000, "ambient_rate_hz": 1e6, "dead_time_ns": 40},
             "labels": {"rows": 4, "columns": 4},
             "store": {"fields": list(fields), "scenes_per_shard": 2},

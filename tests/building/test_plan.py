@@ -1,0 +1,166 @@
+"""`datagen plan`: its scenes are those of the build, and a build is their mean times its number of scenes."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from pathlib import Path
+
+import pytest
+from datasets import write_dataset
+
+from datagen.building import plan as planning
+from datagen.building.plan import AT_LEAST_S, WORTH, SceneCost, planned, scene_limit, simulated_scenes
+from datagen.building.plan_text import duration
+from datagen.cli import run
+from datagen.config import DatasetConfig, config_from_mapping, load_config
+from datagen.errors import InputError
+from datagen.records import Sample
+from datagen.store import committed, read_manifest
+
+CONFIG = """
+name: tiny
+scenes: 3
+capture: {scan: {rows: 2, columns: 2}, time: {bins: 64, bin_width_ps: 800}}
+transport: {lookins: 64, fov_samples: 1}
+detector: {photons_per_pulse: 1000.0}
+labels: {rows: 8, columns: 8}
+store: {scenes_per_shard: 2}
+"""
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "tiny.yaml"
+    path.write_text(CONFIG)
+    return path
+
+
+def costs(*seconds: float) -> list[SceneCost]:
+    """Costs of scenes that took so many seconds, and stored 100, 101 … bytes."""
+    return [
+        SceneCost({"transport": 0.75 * taken, "store": 0.25 * taken}, {"histogram": 90 + k, "record": 10}, {})
+        for k, taken in enumerate(seconds)
+    ]
+
+
+def test_a_build_is_the_mean_scene_times_their_number() -> None:
+    """The seconds of the first scene, which also loads compiled code, are no part of the mean."""
+    for scenes in (10, 20):
+        plan = planned(config_from_mapping({"scenes": scenes}), costs(50.0, 1.0, 2.0, 3.0), {}, 1, 2)
+        assert plan.scene_s == (1.0, 2.0, 3.0)
+        assert plan.seconds == {"transport": 1.5, "store": 0.5}
+        assert plan.scene_bytes == (100, 101.5, 103) and plan.stored == {"histogram": 91.5, "record": 10}
+        assert (plan.build_s, plan.build_bytes) == (2.0 * scenes, 101.5 * scenes)
+    assert planned(config_from_mapping({"scenes": 1}), costs(50.0), {}, 1, 2).build_s == 50.0
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 7])
+@pytest.mark.parametrize("scenes", [1, 5, 25, 28, 160, 387])
+def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: int, workers: int) -> None:
+    """Against a plain simulation of the queue, in which the scenes of the last shards are jobs of their own."""
+    config = config_from_mapping({"scenes": scenes, "store": {"scenes_per_shard": 4}})
+    plan = planned(config, costs(3.0), {}, workers, 8)
+    jobs: list[int] = []
+    for shard in range(plan.shards):
+        number = min(4, scenes - 4 * shard)
+        jobs += [number] if plan.shards - shard > workers or workers == 1 else [1] * number
+    free = [0.0] * min(workers, scenes)
+    for number in jobs:
+        heapq.heappush(free, heapq.heappop(free) + 3.0 * number)
+    assert plan.build_s == pytest.approx(max(free))
+    # More workers than cores share these.
+    assert planned(config, costs(3.0), {}, workers, 1).build_s == pytest.approx(len(free) * plan.build_s)
+
+
+def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Path) -> None:
+    """Bytes, errors, evidence and decisions are the dataset's."""
+    settings = load_config(config)
+    found, failed = simulated_scenes(settings, 1e6)
+    root = write_dataset(settings, tmp_path / "set")
+    records = committed(root, read_manifest(root))
+    assert [cost.parameters for cost in found] == [s.parameters for record in records for s in record.scenes]
+    assert len(found) == 3 and not failed
+    for field in read_manifest(root).schema.fields:
+        files = sum(of.bytes for r in records for path, of in r.files.items() if f"/{field.name}/" in path)
+        # A shard has an index of its own.
+        assert sum(cost.stored[field.name] for cost in found) == pytest.approx(files, abs=3 * 64), field.name
+    kept = sum(len(record.to_bytes()) for record in records)
+    assert sum(cost.stored["record"] for cost in found) == pytest.approx(kept, rel=0.1)
+
+
+def test_scenes_are_simulated_until_the_seconds_have_passed_but_three_at_least(config: Path) -> None:
+    assert len(simulated_scenes(load_config(config).with_scenes(9), 1e-9)[0]) == 3
+    assert len(simulated_scenes(load_config(config).with_scenes(1), 1e6)[0]) == 1
+
+
+def test_a_scene_that_cannot_be_made_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    simulate, impossible = planning.simulate_sample, {0, 2}
+
+    def refuse(settings: DatasetConfig, index: int) -> Sample:
+        if index in impossible:
+            raise InputError("impossible")
+        return simulate(settings, index)
+
+    monkeypatch.setattr(planning, "simulate_sample", refuse)
+    settings = load_config(config)
+    found, failed = simulated_scenes(settings, 1e6)
+    assert len(found) == 1 and failed == {0: "impossible", 2: "impossible"}
+    impossible |= {1}
+    with pytest.raises(InputError, match="none of the first 3 scenes can be made; scene 0: impossible"):
+        simulated_scenes(settings, 1e6)
+
+
+def test_the_plan_says_what_a_build_takes_and_makes(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = tmp_path / "plan.json"
+    assert run(["plan", str(config), "--workers", "2", "--seconds", "60", "--json", str(numbers)]) == 0
+    text = capsys.readouterr().out
+    for piece in ("4 laser points × 1 pixel × 64 bins of 800 ps", "3 scenes simulated in full", "sampler poisson",
+                  "of one core", "transport", "relative L2", "timing_response", "σ", "2 workers", "2 of 2 scenes",
+                  "histogram", "1.54 kB"):  # fmt: skip
+        assert piece in text, piece
+    values = json.loads(numbers.read_text())
+    expected = values["forecast"]
+    assert (expected["scenes"], expected["workers"], expected["simulated"]) == (3, 2, 3)
+    assert expected["build_s"] > 0 and expected["build_bytes"] > 0 and values["cores"] >= 1
+    assert {of["kind"] for of in expected["evidence"]} == {"box", "pillar"}
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--workers", "0"], "--workers 0"),
+        (["--seconds", "0"], "--seconds 0"),
+        (["--seconds", "nan"], "--seconds nan"),
+        (["--scenes", "0"], "--scenes 0"),
+        (["--json", "nowhere/plan.json"], "no folder nowhere"),
+        (["--json", "."], "is a folder"),
+    ],
+)
+def test_bad_input_is_one_line(
+    config: Path, options: list[str], word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["plan", str(config), *options]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and word in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(0.5, "0.5 s"), (43.2, "43 s"), (119.0, "2 min"), (3000.0, "50 min"), (12240.0, "3.4 h"), (1e6, "12 days")],
+)
+def test_durations_for_people(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = config_from_mapping({})
+    assert scene_limit("2.5", config) == 2.5
+    with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
+        scene_limit("soon", config)
+    for longest, limit in ((0.01, AT_LEAST_S), (60.0, 60.0 * WORTH)):
+        plan = planned(config, costs(0.0, 0.001, longest), {}, 1, 1)
+        monkeypatch.setattr(planning, "plan_build", lambda _, plan=plan: plan)
+        assert scene_limit("forecast", config) == limit
