@@ -18,6 +18,7 @@ bin width, footprints' place, scale and blur, and each zone's delay by Gauss–N
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,8 +26,8 @@ import numpy as np
 import scipy.optimize
 from scipy.special import ndtr
 
-from datagen.devices.frames import Frames
-from datagen.devices.model import Device, check_recorded_by
+from datagen.devices.frames import Frames, fitted_and_tested
+from datagen.devices.model import Device, recorded_by
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_number
@@ -173,8 +174,9 @@ def blind_periods(device: Device) -> float:
 
 
 def calibrate(
-    frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M
-) -> Calibration:
+    frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M,
+    doing: Callable[[str], None] = lambda what: None,
+) -> Calibration:  # fmt: skip
     """A device whose numbers are those of the sensor that recorded a sweep before a plane.
 
     Parameters
@@ -182,8 +184,10 @@ def calibrate(
     frames : histograms and distances to a plane that the sensor faces squarely.
     device : what the sensor is nominally; what a plane does not tell (crosstalk, dead time, …) stays.
     albedo : of the plane, a diffuse one; the emitted light is known only relative to it.
-    held_out : whether every second distance is kept back for the test; else all are fitted, and tested.
+    held_out : whether the second and fourth quarter of the distances are held back to test; else all are fitted, and
+        tested.
     nearest_m : distance from which frames are used, metres.
+    doing : called with a line of text before each step of the work, which takes seconds.
 
     Raises
     ------
@@ -193,19 +197,19 @@ def calibrate(
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
-    check_recorded_by(frames.source, frames, device, device.zones.count)
+    frames = recorded_by(frames.source, frames, device, device.zones.count)
     if device.zones.map is not None:
         raise InputError(
             f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"
         )
     z = frames.distances_m
+    assert z is not None
     usable = np.flatnonzero((z >= nearest_m) & (z <= FARTHEST_M))
     usable = usable[np.argsort(z[usable], kind="stable")]
     if len(usable) < 8:
         raise InputError(f"{frames.source}: {len(usable)} frames from {nearest_m:g} m on; at least 8 are needed")
-    fitted = usable[::2] if held_out else usable
-    tested = usable[1::2] if held_out else usable
-    fit = _Fit.of(frames.histograms[fitted], z[fitted], device)
+    fitted, tested = (usable[rows] for rows in fitted_and_tested(len(usable))) if held_out else (usable, usable)
+    fit = _Fit.of(frames.histograms[fitted], z[fitted], device, doing)
     calibrated, numbers = fit.device(albedo)
     return Calibration(
         calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested])
@@ -234,11 +238,12 @@ class _Fit:
     pulse: Floats
 
     @classmethod
-    def of(cls, counts: Floats, z: Floats, nominal: Device) -> _Fit:
+    def of(cls, counts: Floats, z: Floats, nominal: Device, doing: Callable[[str], None]) -> _Fit:
         """The fit of counts (n, zones, bins) at distances z (n,)."""
         blind = blind_periods(nominal)
         start = _Shape.of(nominal)
         first = int(min(start.zero_bins.min(), nominal.time.zero_bin)) - BEFORE
+        doing("cycles and distance offset are fitted to the brightness over distance")
         cycles, offset = _brightness(counts, z, blind, first)
         rng = np.random.default_rng(0)
         again = [rng.integers(len(z), size=len(z)) for _ in range(20)]
@@ -255,7 +260,7 @@ class _Fit:
         brightness = np.median(light.sum(axis=2) * (z[:, None] + offset) ** 2, axis=0)
         start = replace(start, sharing=_sharing(brightness, nominal.zones.crosstalk))
         rows = np.unique(np.linspace(0, len(z) - 1, FITTED_FRAMES).round().astype(int))
-        problem = _ShapeProblem(light[rows], z[rows] + offset, start)
+        problem = _ShapeProblem(light[rows], z[rows] + offset, start, doing)
         shape, covariance, pulse = problem.solved()
         errors = float(spread[0]), float(spread[1])
         return cls(nominal, cycles, offset, errors, brightness, floor, glass, shape, covariance, pulse)
@@ -481,6 +486,7 @@ class _ShapeProblem:
     light: Floats
     z: Floats
     start: _Shape
+    doing: Callable[[str], None]
 
     def solved(self) -> tuple[_Shape, Floats, Floats]:
         """The fitted shape, its parameters' covariance (by clusters), and the pulse (samples,), of sum 1."""
