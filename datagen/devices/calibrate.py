@@ -11,9 +11,9 @@ are the expected events per cycle, linear in the light. A plane at the distance 
     λ(t) = floor + glass + g ∫ w(u) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du            (2)
 
 over its footprint w, u the tangents of the direction and θ its angle from the axis, and the nominal share of what the
-other zones get. N and z₀ follow from brightness
-over distance, the rest from the shapes of the histograms: the pulse as samples ≥ 0 of a linear least-squares problem,
-bin width, footprints' place, scale and blur, and each zone's delay by Gauss–Newton around it.
+other zones get. N and z₀ follow from brightness over distance, the rest from the shapes of the histograms: the pulse
+as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and blur, and each zone's delay
+by Gauss–Newton around it.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from datagen.records.checks import check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 NEAREST_M = 0.12
-"""Distance from which frames are used. Halved, the parallax of light and sensor, not in (2), spoils fits."""
+"""Distance from which frames are used, m: nearer, the parallax of light and sensor, which (2) lacks, changes them."""
 FARTHEST_M = 10.0
-"""Distance up to which frames are used."""
+"""Distance up to which frames are used, m: farther than such sensors see."""
 SUBSTEPS = 4
-"""Samples of the pulse in a bin. Halved, peaks move by up to 0.05 bin."""
+"""Samples of the pulse in a bin; with two, peaks move by up to 0.05 bin."""
 BEFORE, AFTER = 3, 26
-"""Bins before and after the peak that the pulse may take. Halved, a tail of 1 % is cut off."""
+"""Bins before and after the peak that the pulse may take; 13 after it would cut off a tail of 1 %."""
 SMOOTH = 2e-3
-"""Weight of the second differences of the pulse's samples. Halved, samples follow the noise a little more."""
+"""Weight of the second differences of the pulse's samples: enough that they do not follow the noise."""
 FITTED_FRAMES = 14
-"""Most frames of the shape fit. Halved, half the time, and errors √2 times as large."""
+"""Most frames of the fit of shapes: its time grows with them, and its errors fall with their square root."""
 PRIORS = {"distance": (1.0, 0.2), "size": (1.0, 0.1), "shift": (0.0, 0.05), "blur": (0.03, 0.03)}
 """Mean and standard deviation of what a plane alone fixes badly: the distance of zones from the axis and their size,
-relative to the nominal ones, the shift of all zones, and their blur.
-With half the standard deviations footprints stay closer to the nominal ones."""
+relative to the nominal ones, the shift of all zones, and their blur. The deviations say how far a real
+sensor may be from its data sheet."""
 PRIOR_WEIGHT = 0.02
 """Weight of a prior's standard deviation beside residuals, which are relative to a histogram's energy."""
 
@@ -246,8 +246,8 @@ class _Fit:
         doing("cycles and distance offset are fitted to the brightness over distance")
         cycles, offset = _brightness(counts, z, blind, first)
         rng = np.random.default_rng(0)
-        again = [rng.integers(len(z), size=len(z)) for _ in range(20)]
-        spread = np.std([_brightness(counts[rows], z[rows], blind, first) for rows in again], axis=0)
+        resampled = [rng.integers(len(z), size=len(z)) for _ in range(20)]
+        spread = np.std([_brightness(counts[rows], z[rows], blind, first) for rows in resampled], axis=0)
         events = unsaturated(counts, cycles, blind)
         floor = events[:, :, 1 : max(first, 2)].mean(axis=(0, 2))
         light = events - floor[:, None]
@@ -375,9 +375,9 @@ def _brightness(counts: Floats, z: Floats, blind: float, first: int) -> tuple[fl
 
 
 RAYS_ALONG = 64
-"""Directions along each side of the field, of which footprints are sums. Halved, footprints err by 1 %."""
+"""Directions along each side of the field, of which footprints are sums; with 32, footprints err by 1 %."""
 SLANTS = 120
-"""Slants 1/cosθ that arrivals are sorted by. Halved, arrivals are known to a tenth of a bin at 1 m."""
+"""Slants 1/cosθ that arrivals are sorted by; with 60, arrivals are known to a tenth of a bin at 1 m."""
 
 
 def _sharing(brightness: Floats, crosstalk: float) -> Floats:

@@ -31,7 +31,7 @@ class Frames:
     Attributes
     ----------
     source : the file's name.
-    histograms : (n, zones, bins) counts; with the ambient light that a sensor subtracted and told.
+    histograms : (n, zones, bins) counts; with the ambient light that the sensor subtracted, where a file has it.
     poses : (n, 4, 4) poses of the sensor, its z axis looking out, metres; None where the file holds none.
     distances_m : (n,) distances to a plane that the sensor faces; None where the file holds none.
     reference : (n, bins) the reference channel inside the sensor; None where the file holds none.
@@ -69,7 +69,7 @@ def read_frames(path: str | Path) -> Frames:
     path : JSON (also .gz), a list of frames with `hists` (zones, bins) and, in all frames or none, `pose` (4, 4),
         `dist_to_plane` (metres), `reference_hist` (bins) and `ambient` (zones,); .npz with `hists` (n, zones, bins)
         and the same optional names for all frames; or .npy with the histograms alone. `ambient` is what a sensor
-        subtracted from each bin of a zone, in the unit of `hists`; it is added again, to the nearest whole count
+        subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole count
         where `hists` is whole.
 
     Raises `InputError` for a file that is missing or damaged, and for histograms that are ragged, negative or not
