@@ -31,7 +31,7 @@ from torch import nn
 
 import datagen as dg
 from datagen.devices import Device, Frames, calibrate
-from datagen.devices.calibrate import peak_positions
+from datagen.devices.agreement import peak_positions
 from datagen.devices.frames import fitted_and_tested
 from datagen.report.style import captioned, house_style, save_png
 from datagen.transport.flood import at_sensor

@@ -2,7 +2,8 @@
 held against their simulation."""
 
 from datagen.config.device import device_names
-from datagen.devices.calibrate import Calibration, Fitted, calibrate
+from datagen.devices.agreement import Fitted
+from datagen.devices.calibrate import Calibration, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
 from datagen.devices.model import Device, device, recorded_by, without_reference, write_device

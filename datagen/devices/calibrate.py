@@ -1,12 +1,7 @@
 """Calibration of a sensor of zones from a sweep: frames at known distances from a plane that it faces.
 
-The counts are first freed of saturation. A zone that is blind for whole laser periods after each detection counts in
-bin i, of N cycles, T_i = N_active h_i exp(−…) as first photons (Coates, J. Phys. E 1, 878 (1968)): with d the blind
-periods after each of the T detections,
-
-    λ_i = −ln(1 − T_i / (N − d T − Σ_{j<i} T_j))                                                                  (1)
-
-are the expected events per cycle, linear in the light. A plane at the distance z gives a zone
+The counts are first freed of saturation, which gives expected events per cycle λ (equation (1) of `saturation.py`). A
+plane at the distance z gives a zone
 
     λ(t) = floor + glass + g ∫ w(u) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du            (2)
 
@@ -26,8 +21,10 @@ import numpy as np
 import scipy.optimize
 from scipy.special import ndtr
 
+from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, recorded_by
+from datagen.devices.saturation import blind_periods, saturated, unsaturated
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_number
@@ -54,34 +51,6 @@ PRIOR_WEIGHT = 0.02
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A number that the calibration found, and its standard error (by frame, robust against what (2) misses)."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.5g} ± {self.error:.1g}"
-
-
-class HistogramErrors:
-    """The errors of histograms (n, zones, bins), as `modelled` and as `measured`."""
-
-    measured: Floats
-    modelled: Floats
-
-    @cached_property
-    def relative_l2(self) -> Floats:
-        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
-        return relative_l2(self.modelled, self.measured)
-
-    @cached_property
-    def peak_shift(self) -> Floats:
-        """(n, zones) modelled minus measured position of the peak, bins."""
-        return peak_positions(self.modelled) - peak_positions(self.measured)
-
-
-@dataclass(frozen=True)
 class Calibration(HistogramErrors):
     """What `calibrate` found.
 
@@ -91,6 +60,7 @@ class Calibration(HistogramErrors):
     fitted : name → number with its standard error.
     tested_m : (n,) distances of the frames that the fit did not see (or of all).
     measured, modelled : (n, zones, bins) histograms of those frames, as counted and as the device gives them.
+    held_back : whether the fit did not see them.
     """
 
     device: Device
@@ -98,6 +68,7 @@ class Calibration(HistogramErrors):
     tested_m: Floats
     measured: Floats
     modelled: Floats
+    held_back: bool
 
     @cached_property
     def brightness_error(self) -> Floats:
@@ -110,7 +81,7 @@ class Calibration(HistogramErrors):
         lines = ["fitted:"]
         lines += [f"  {name:24} {number}" for name, number in self.fitted.items()]
         lines += [
-            f"tested on {len(self.tested_m)} frames, {self.tested_m.min():.3g} to {self.tested_m.max():.3g} m:",
+            f"{self.tested}, {self.tested_m.min():.3g} to {self.tested_m.max():.3g} m:",
             f"  relative L2 of histograms  median {np.median(self.relative_l2):.4f}, 90th percentile "
             f"{np.percentile(self.relative_l2, 90):.4f}",
             "  by zone                    " + " ".join(f"{v:.3f}" for v in np.median(self.relative_l2, axis=0)),
@@ -120,57 +91,6 @@ class Calibration(HistogramErrors):
             f"{np.median(shift, axis=0).max():.3f}",
         ]
         return "\n".join(lines)
-
-
-def relative_l2(modelled: Floats, measured: Floats) -> Floats:
-    """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
-    return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
-
-
-def clustered_covariance(jacobian: Floats, residuals: Floats, frames: int) -> Floats:
-    """(k, k) covariance of k numbers of a least-squares fit, from its Jacobian (rows, k) and residuals (rows,).
-
-    The first rows that residuals are given for are those of the frames, one frame after the other; rows beyond them,
-    such as those of priors, add information only. The gradients of each frame are summed before they are squared, so
-    that a misfit that all zones and bins of a frame share counts once (the sandwich of White, Econometrica 48, 817
-    (1980), by clusters).
-    """
-    data = len(residuals)
-    by_frame = (jacobian[:data] * residuals[:, None]).reshape(frames, -1, jacobian.shape[1]).sum(axis=1)
-    information = np.linalg.pinv(jacobian.T @ jacobian)
-    return np.asarray(information @ (by_frame.T @ by_frame) @ information)
-
-
-def peak_positions(histograms: Floats) -> Floats:
-    """(…) position of the peak of histograms (…, bins), bins: the vertex of a parabola through its three top bins."""
-    top = np.clip(histograms.argmax(axis=-1), 1, histograms.shape[-1] - 2)
-    low, mid, high = (np.take_along_axis(histograms, (top + k)[..., None], -1)[..., 0] for k in (-1, 0, 1))
-    bend = low - 2 * mid + high
-    return np.asarray(top + 0.5 * np.divide(low - high, bend, out=np.zeros_like(bend), where=bend != 0) + 0.5)
-
-
-def unsaturated(counts: Floats, cycles: float, blind: float) -> Floats:
-    """(…, bins) expected events per cycle λ from counts (…, bins), by equation (1).
-
-    cycles : laser pulses N. blind : periods d that a detection blinds. NaN where more is counted than N allows.
-    """
-    active = cycles - blind * counts.sum(axis=-1, keepdims=True)
-    before = np.cumsum(counts, axis=-1) - counts
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(-np.log1p(-counts / (active - before)))
-
-
-def saturated(events: Floats, cycles: float, blind: float) -> Floats:
-    """(…, bins) expected counts from expected events per cycle λ (…, bins): the inverse of `unsaturated`."""
-    before = np.cumsum(events, axis=-1) - events
-    first = -np.expm1(-events) * np.exp(-before)
-    return np.asarray(cycles * first / (1 + blind * first.sum(axis=-1, keepdims=True)))
-
-
-def blind_periods(device: Device) -> float:
-    """Whole laser periods that a detection blinds a zone of the device for, beyond the one it falls into."""
-    c = device.counting
-    return float(np.floor(c.dead_time_ns * 1e-3 * c.repetition_rate_mhz)) if c.mode == "free_running" else 0.0
 
 
 def calibrate(
@@ -212,7 +132,7 @@ def calibrate(
     fit = _Fit.of(frames.histograms[fitted], z[fitted], device, doing)
     calibrated, numbers = fit.device(albedo)
     return Calibration(
-        calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested])
+        calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested]), held_out
     )  # fmt: skip
 
 

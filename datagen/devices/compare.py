@@ -1,7 +1,7 @@
 """Captures held against their simulation: what a sensor recorded at known poses, and what its device gives there.
 
 The light that a posed device gets from a mesh is that of one bounce (`datagen.transport.flood`), for each part of the
-mesh with albedo 1. Freed of saturation (`calibrate.unsaturated`), counts are linear in the parts' albedos and a
+mesh with albedo 1. Freed of saturation (`saturation.unsaturated`), counts are linear in the parts' albedos and a
 floor, so these follow from a non-negative least-squares fit, each histogram weighted by 1 / ‖histogram‖. What is not
 linear is fitted around it by Levenberg–Marquardt, step by step, so that the gain of each step is seen:
 
@@ -29,17 +29,10 @@ from scipy.spatial.transform import Rotation
 from datagen.config.device import device_names
 from datagen.detector import expected_histogram
 from datagen.detector.flux import dark_count_rates
-from datagen.devices.calibrate import (
-    Fitted,
-    HistogramErrors,
-    blind_periods,
-    clustered_covariance,
-    relative_l2,
-    saturated,
-    unsaturated,
-)
+from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance, relative_l2
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, device, has_shape_of, recorded_by
+from datagen.devices.saturation import blind_periods, saturated, unsaturated
 from datagen.errors import InputError
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
@@ -156,8 +149,7 @@ class Comparison(HistogramErrors):
         """The numbers as a table."""
         error, shift = self.relative_l2, np.abs(self.peak_shift)
         zones = error.shape[1]
-        seen = "which the fit did not see" if self.held_back else "which were fitted, too"
-        lines = [f"{self.source}, simulated as {self.simulated_as}; {len(error)} frames tested, {seen}", "fitted:"]
+        lines = [f"{self.source}, simulated as {self.simulated_as}; {self.tested}", "fitted:"]
         lines += [f"  {name:32} {number}" for name, number in self.fitted.items()]
         lines.append("relative L2 of histograms, median (90th percentile), after fitting")
         lines += [f"  {name:32} {a:.4f} ({b:.4f})" for name, (a, b) in self.steps.items()]

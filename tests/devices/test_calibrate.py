@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import datagen as dg
 from datagen.cli import cli
 from datagen.devices import Frames, calibrate
-from datagen.devices.calibrate import saturated, unsaturated
+from datagen.devices.saturation import saturated, unsaturated
 from datagen.errors import InputError
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "tmf8820_plane.json.gz"
