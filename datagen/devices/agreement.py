@@ -22,17 +22,19 @@ class Fitted:
 
 
 class HistogramErrors:
-    """The errors of histograms (n, zones, bins), as `modelled` and as `measured`; `held_back` says whether the fit did
-    not see these."""
+    """The errors of histograms (n, zones, bins), as `modelled` and as `measured`.
+
+    held_out : whether the fit did not see them.
+    """
 
     measured: Floats
     modelled: Floats
-    held_back: bool
+    held_out: bool
 
     @property
     def tested(self) -> str:
         """How many frames are tested, and whether the fit saw them."""
-        seen = "which the fit did not see" if self.held_back else "which were fitted, too"
+        seen = "which the fit did not see" if self.held_out else "which were fitted, too"
         return f"{len(self.measured)} frames tested, {seen}"
 
     @cached_property

@@ -60,7 +60,7 @@ class Calibration(HistogramErrors):
     fitted : name → number with its standard error.
     tested_m : (n,) distances of the frames that the fit did not see (or of all).
     measured, modelled : (n, zones, bins) histograms of those frames, as counted and as the device gives them.
-    held_back : whether the fit did not see them.
+    held_out : whether the fit did not see them.
     """
 
     device: Device
@@ -68,7 +68,7 @@ class Calibration(HistogramErrors):
     tested_m: Floats
     measured: Floats
     modelled: Floats
-    held_back: bool
+    held_out: bool
 
     @cached_property
     def brightness_error(self) -> Floats:
@@ -104,7 +104,7 @@ def calibrate(
     frames : histograms and distances to a plane that the sensor faces squarely.
     device : what the sensor is nominally; what a plane does not tell (crosstalk, dead time, …) stays.
     albedo : of the plane, a diffuse one; the emitted light is known only relative to it.
-    held_out : whether the second and fourth quarter of the distances are held back to test; else all are fitted, and
+    held_out : whether the second and fourth quarter of the distances are held out to test; else all are fitted, and
         tested.
     nearest_m : distance from which frames are used, metres.
     doing : called with a line of text before each step of the work, which takes seconds.

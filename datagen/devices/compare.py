@@ -50,8 +50,8 @@ by 0.2 mm more. Frames that test are simulated with `flood.RAYS`."""
 FITTED_FRAMES = 32
 """Most frames of a fit, evenly spread over those that it may see: its time grows with them, and its errors fall with
 their square root."""
-FEWEST_HELD_BACK = 16
-"""Frames from which half are held back to test. With fewer, twelve numbers of places would hang on too few poses."""
+FEWEST_HELD_OUT = 16
+"""Frames from which half are held out to test. With fewer, twelve numbers of places would hang on too few poses."""
 STEPS = 12
 """Most steps of a fit; those of real frames around a pyramid end after 4 to 8."""
 PRIOR_WEIGHT = 0.01
@@ -89,7 +89,7 @@ class Comparison(HistogramErrors):
     steps : what was fitted so far → median and 90th percentile of the relative L2 of the tested histograms.
     measured, modelled : (n, zones, bins) the tested histograms, counts.
     device : the device as fitted; None for two datasets.
-    held_back : whether the fit did not see the tested histograms.
+    held_out : whether the fit did not see the tested histograms.
     """
 
     source: str
@@ -99,7 +99,7 @@ class Comparison(HistogramErrors):
     measured: Floats
     modelled: Floats
     device: Device | None = None
-    held_back: bool = False
+    held_out: bool = False
 
     @cached_property
     def residual_sd(self) -> Floats:
@@ -132,7 +132,7 @@ class Comparison(HistogramErrors):
             "source": self.source,
             "simulated_as": self.simulated_as,
             "tested_frames": len(self.measured),
-            "held_back": self.held_back,
+            "held_out": self.held_out,
             "median_relative_l2": float(np.median(error)),
             "p90_relative_l2": float(np.percentile(error, 90)),
             "median_relative_l2_by_zone": np.median(error, axis=0).tolist(),
@@ -212,7 +212,7 @@ def compare(
     Parameters
     ----------
     frames : histograms and poses, in the order of recording. Of 16 frames or more the second and fourth quarter are
-        held back and tested; the fit sees the others, 32 at most.
+        held out and tested; the fit sees the others, 32 at most.
     sensor : the device that recorded them. If the catalogue has it in other modes, too (its name and `_`), that mode
         is taken which fits best, as frames do not say in which they were taken.
     parts : the mesh, in the coordinates of the poses; albedos are fitted (`read_parts`).
@@ -228,9 +228,9 @@ def compare(
     if bad:
         raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
     frames, modes = _checked(frames, sensor)
-    held_back = len(frames) >= FEWEST_HELD_BACK
+    held_out = len(frames) >= FEWEST_HELD_OUT
     everything = np.arange(len(frames))
-    fitted, tested = fitted_and_tested(len(frames)) if held_back else (everything, everything)
+    fitted, tested = fitted_and_tested(len(frames)) if held_out else (everything, everything)
     fitted = fitted[np.unique(np.linspace(0, len(fitted) - 1, FITTED_FRAMES).round().astype(int))]
     session, test = _Session.of(frames.some(fitted), parts, doing), frames.some(tested)
     groups: list[Group] = [group for group in GROUPS if group in fit]
@@ -254,7 +254,7 @@ def compare(
     of_floor = {"floor (counts a bin)": Fitted(floor * cycles, errors[-1] * cycles)}
     return Comparison(
         frames.source, state.device.name, of_parts | of_floor | numbers, steps, test.histograms, modelled,
-        state.device, held_back,
+        state.device, held_out,
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ class Frames:
 
 def fitted_and_tested(count: int) -> tuple[Ints, Ints]:
     """Of frames along a path of the sensor or a sweep: numbers of those that a fit sees, the first and third quarter,
-    and of those that are held back to test it, the second and fourth.
+    and of those that are held out to test it, the second and fourth.
 
     Neighbours on the path see nearly the same, so that every second frame would test a fit by what it has seen.
     """

@@ -116,7 +116,7 @@ def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
 
 @real
 def test_the_real_sweep_is_fitted_within_what_is_stated(tmp_path: Path) -> None:
-    """The second and fourth quarter of the distances are held back, and tested."""
+    """The second and fourth quarter of the distances are held out, and tested."""
     found = calibrate(dg.read_frames(REAL), dg.device("tmf8820"), nearest_m=0.15)
     assert np.median(found.relative_l2) < 0.03
     assert np.median(np.abs(found.brightness_error)) < 0.008

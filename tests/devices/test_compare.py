@@ -94,7 +94,7 @@ def test_frames_that_test_do_not_change_the_fit(session: dg.Frames, tmp_path: Pa
     before = dg.compare(session, dg.device("tmf8820"), parts, fit=("hand",))
     after = dg.compare(replace(session, histograms=replaced), dg.device("tmf8820"), parts, fit=("hand",))
     assert after.fitted == before.fitted and after.simulated_as == before.simulated_as == "tmf8820"
-    assert before.held_back and before.steps["+ hand"][0] < 0.03
+    assert before.held_out and before.steps["+ hand"][0] < 0.03
     assert after.steps["+ hand"][0] > 0.5
 
 
@@ -103,7 +103,7 @@ def test_few_frames_are_all_fitted_and_the_table_says_so(session: dg.Frames, tmp
     said = list[str]()
     found = dg.compare(session.some(np.arange(6)), alone, parts_of(tmp_path), fit=("hand",), doing=said.append)
     assert (
-        len(found.measured) == 6 and not found.held_back and "6 frames tested, which were fitted, too" in found.text()
+        len(found.measured) == 6 and not found.held_out and "6 frames tested, which were fitted, too" in found.text()
     )
     # What is at work is named, so that nobody waits before a silent terminal.
     assert said[0].startswith("mine: hand fitted to 6 frames, step 1 of") and said[-1].startswith("6 frames are sim")
