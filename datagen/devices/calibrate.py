@@ -95,7 +95,7 @@ class Calibration(HistogramErrors):
 
 def calibrate(
     frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M,
-    doing: Callable[[str], None] = lambda what: None,
+    doing: Callable[[str], None] | None = None,
 ) -> Calibration:  # fmt: skip
     """A device whose numbers are those of the sensor that recorded a sweep before a plane.
 
@@ -128,6 +128,7 @@ def calibrate(
     usable = usable[np.argsort(z[usable], kind="stable")]
     if len(usable) < 8:
         raise InputError(f"{frames.source}: {len(usable)} frames from {nearest_m:g} m on; at least 8 are needed")
+    doing = doing or (lambda what: None)
     fitted, tested = (usable[rows] for rows in fitted_and_tested(len(usable))) if held_out else (usable, usable)
     fit = _Fit.of(frames.histograms[fitted], z[fitted], device, doing)
     calibrated, numbers = fit.device(albedo)

@@ -205,7 +205,7 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
 
 def compare(
     frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = ("hand", "mesh"),
-    doing: Callable[[str], None] = lambda what: None,
+    doing: Callable[[str], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Frames of a sensor at known poses before a known mesh, held against their simulation.
 
@@ -227,6 +227,7 @@ def compare(
     bad = [group for group in fit if group not in GROUPS]
     if bad:
         raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
+    doing = doing or (lambda what: None)
     frames, modes = _checked(frames, sensor)
     held_out = len(frames) >= FEWEST_HELD_OUT
     everything = np.arange(len(frames))

@@ -85,7 +85,7 @@ def test_a_turned_mount_and_albedos_are_found(session: dg.Frames, tmp_path: Path
 
 
 def test_frames_that_test_change_neither_the_fit_nor_the_mode(session: dg.Frames, tmp_path: Path) -> None:
-    """The second and fourth quarter are replaced by other zones' histograms, half as bright: the fit stays the same to
+    """The second and fourth quarter are replaced by other zones' histograms, half as bright: the fit is the same to
     the bit, and its errors tell of the replacement."""
     replaced = np.array(session.histograms)
     replaced[4:8] = replaced[12:] = 0.5 * np.roll(replaced[4:8], 3, axis=1)
