@@ -11,7 +11,7 @@ import click
 
 from datagen._version import __version__
 from datagen.errors import CheckError
-from datagen.exit_status import exit_with, guarded
+from datagen.exit_status import CHANGED_NOTHING, GOES_ON, exit_with, guarded, if_ended
 
 
 @click.group(
@@ -56,10 +56,13 @@ def plan(config: str, scenes: int | None, workers: int, seconds: float, json_pat
 @click.option("--nearest", type=float, default=0.12, show_default=True, help="Distance from which frames count, m.")
 @click.option("--all", "everything", is_flag=True, help="Fit all frames, and keep none back for the test.")
 @click.option("--picture", help="Draw fit and residuals into this file, .png.")
+@click.option("--quiet", is_flag=True, help="No progress.")
 def calibrate(
-    sweep: str, name: str, out: str, albedo: float, nearest: float, everything: bool, picture: str | None
-) -> None:
+    sweep: str, name: str, out: str, albedo: float, nearest: float, everything: bool, picture: str | None,
+    quiet: bool,
+) -> None:  # fmt: skip
     """Fit a sensor's numbers to SWEEP, its frames before a plane at known distances, and write them as a device."""
+    from datagen.building.progress import Progress
     from datagen.devices import calibrate as fit
     from datagen.devices import device, read_frames, write_device
 
@@ -68,7 +71,11 @@ def calibrate(
         from datagen.report.style import check_png
 
         check_png(picture)
-    found = fit(read_frames(sweep), device(name), albedo=albedo, held_out=not everything, nearest_m=nearest)
+    frames = read_frames(sweep)
+    with closing(Progress(not quiet)) as progress:
+        found = fit(
+            frames, device(name), albedo=albedo, held_out=not everything, nearest_m=nearest, doing=progress.doing
+        )
     click.echo(found.text())
     write_device(found.device, out)
     if picture is not None:
@@ -90,13 +97,15 @@ def calibrate(
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 @click.option("--picture", help="Draw the best, median and worst histogram and the errors into this file, .png.")
 @click.option("--out", help="Write the device as fitted into this file, .yaml.")
+@click.option("--quiet", is_flag=True, help="No progress.")
 def compare(
     captures: str, simulated: str | None, name: str | None, meshes: tuple[str, ...], fit: tuple[Any, ...],
-    fixed: bool, as_json: bool, picture: str | None, out: str | None,
+    fixed: bool, as_json: bool, picture: str | None, out: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Hold CAPTURES of a sensor at known poses against their simulation, or a dataset against a SIMULATED one."""
     import json
 
+    from datagen.building.progress import Progress
     from datagen.devices import compare as held_against
     from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device
     from datagen.errors import InputError
@@ -116,7 +125,9 @@ def compare(
     else:
         assert name is not None
         groups = () if fixed else fit
-        found = held_against(read_frames(captures), device(name), read_parts(meshes), fit=groups)
+        frames, parts = read_frames(captures), read_parts(meshes)
+        with closing(Progress(not quiet)) as progress:
+            found = held_against(frames, device(name), parts, fit=groups, doing=progress.doing)
     click.echo(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
     if out is not None and found.device is not None:
         write_device(found.device, out)
@@ -166,6 +177,7 @@ def device(names: tuple[str, ...], out: str | None) -> None:
 @click.option("--quiet", is_flag=True, help="No progress.")
 def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
+    if_ended(GOES_ON)
     from datagen.building.engines import start_imports
     from datagen.building.progress import Progress
     from datagen.config import load_config
@@ -195,6 +207,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
 @click.option("--resimulate", type=int, default=0, metavar="N", help="Simulate N random scenes again, to the bit.")
 def verify(dataset: str, deep: bool, resimulate: int) -> None:
     """Check every file of DATASET against the hashes in its commit records."""
+    if_ended(CHANGED_NOTHING)
     from datagen.store import verify as verify_dataset
     from datagen.store.card import readable
 
@@ -218,6 +231,7 @@ def verify(dataset: str, deep: bool, resimulate: int) -> None:
 @click.argument("dataset")
 def digest(dataset: str) -> None:
     """Print one hash of all values of DATASET, the same however it was built and stored."""
+    if_ended(CHANGED_NOTHING)
     from datagen.store.verify import dataset_digest
 
     click.echo(dataset_digest(dataset))
@@ -227,6 +241,7 @@ def digest(dataset: str) -> None:
 @click.argument("dataset")
 def info(dataset: str) -> None:
     """Say what DATASET holds and how its build went."""
+    if_ended(CHANGED_NOTHING)
     from datagen.store.info import info as describe
 
     click.echo(describe(dataset))
@@ -290,6 +305,7 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 @click.option("--quiet", is_flag=True, help="No progress.")
 def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
     """Build the benchmark set NAME in the folder OUT; without either, list the sets."""
+    if_ended(GOES_ON)
     from datagen.suites.catalogue import build_suite, find_suite, listing
 
     if name is None:
@@ -308,6 +324,7 @@ def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
     """Compare PREDICTIONS, an .npz file or a Zarr group, with the labels of SUITE, the folder of a benchmark set."""
+    if_ended(CHANGED_NOTHING)
     from datagen.scoring.scores import score as scored
 
     scores = scored(suite, predictions, split)
@@ -337,6 +354,7 @@ def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
 )
 def export(dataset: str, out: str, form: str, scenes: str | None, field: str | None) -> None:
     """Write scenes of DATASET into the folder OUT as files that other programs read."""
+    if_ended("files that are finished stay, the same command writes all of them again")
     from datagen.export import export as write
 
     for path in write(dataset, out, form, scenes, field):
@@ -361,6 +379,7 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
 def import_files(files: tuple[str, ...], out: str, form: str | None, quiet: bool, **options: Any) -> None:
     """Make a dataset OUT of captures of other programs or of a laboratory, a scene for each of FILES, or
     for each frame in files of a sensor of zones."""
+    if_ended(GOES_ON)
     from datagen.importing import import_captures
 
     result = import_captures(files, out, format=form, progress=not quiet, **options)

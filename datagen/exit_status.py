@@ -21,6 +21,19 @@ AGAIN_S = 0.1
 """Seconds after which `Ended` is raised again where a library swallowed it. Half as many would gain nothing."""
 
 
+GOES_ON = "what is committed stays, run the same command again to go on"
+"""What a command says that was ended by a signal and finds again what it did."""
+CHANGED_NOTHING = "nothing was changed, run the same command again"
+"""What a command says that was ended by a signal and only reads."""
+_at_end = ["not finished, run the same command again: it begins anew"]
+"""What the command at work says when a signal ends it; true for commands that do not name anything else."""
+
+
+def if_ended(what: str) -> None:
+    """Let the last line of this process say `what`, should a signal end the command that is at work."""
+    _at_end[:] = [what]
+
+
 class Ended(SystemExit):
     """Raised in the main thread of a process that got Ctrl-C or SIGTERM, so that the process clears up."""
 
@@ -59,7 +72,7 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
         status = 128 + received[0]
         # A terminal has printed ^C.
         print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
-        _complain(f"{WORDS[received[0]]}; what is committed stays, run the same command again to go on", status)
+        _complain(f"{WORDS[received[0]]}; {_at_end[0]}", status)
     sys.exit(status)
 
 

@@ -3,9 +3,10 @@
     python docs/tof_plane_training.py FOLDER docs/tof_plane_training.png
 
 FOLDER holds tmf8820_plane.json.gz, a sweep of a real sensor before a plane that it faces
-(cpsiff/SPAD-ICCP-Summer-School, part_2_active_SPADs/data/distance_data.json, MIT). Every second distance calibrates
-the device, from the data sheet's numbers; networks learn from simulated frames of that device alone, and are tested
-on the other distances. Then they learn from simulations that leave one effect out. Prints the tables and draws them.
+(cpsiff/SPAD-ICCP-Summer-School, part_2_active_SPADs/data/distance_data.json, MIT). The first and third quarter of the
+distances from 0.1 to 0.4 m calibrate the device, from the data sheet's numbers; networks learn from simulated frames
+of that device alone, and are tested on the second and fourth. Then they learn from simulations that leave one effect
+out. Prints the tables and draws them.
 """
 
 from __future__ import annotations
@@ -30,13 +31,14 @@ from torch import nn
 
 import datagen as dg
 from datagen.devices import Device, Frames, calibrate
-from datagen.devices.calibrate import peak_positions
+from datagen.devices.agreement import peak_positions
+from datagen.devices.frames import fitted_and_tested
 from datagen.report.style import captioned, house_style, save_png
 from datagen.transport.flood import at_sensor
 
 SWEEP = "tmf8820_plane.json.gz"
 RANGE_M = (0.1, 0.4)
-"""Distances that are tested."""
+"""Distances that calibrate and that are tested."""
 CALIBRATED_FROM_M = 0.15
 """Nearer frames do not calibrate: there parallax and the cover glass, which no device models, change the light."""
 DRAWN_M = (0.04, 0.45)
@@ -50,33 +52,13 @@ POINT = 0.03
 brightness scatters by 10 %."""
 CLOCK = slice(8, 72)
 """Bins that the network gets: from before the cover glass to 0.8 m."""
-DATA_SHEET = {
-    "columns": ((-0.1884, 0.2092), (0.0, 0.1676), (0.1884, 0.2092)),
-    "rows": ((0.1934, 0.1934), (0.0, 0.1934), (-0.1934, 0.1934)),
-}
-"""Middle and size of the nine zones, from the SPADs of map 1 (uwgraphics/ProximityPlanarRecovery, zone_spec.json)."""
+DATA_SHEET = Path(__file__).resolve().parents[1] / "examples" / "tmf8820_data_sheet.yaml"
+"""The sensor before calibration: boxes of its SPADs, an even beam, bins of 94 ps, a Gaussian pulse."""
 HIDDEN = 128
 """Neurons of a hidden layer. Halved, errors on simulated planes are a third larger."""
 CHIP = "the chip's own"
 PEAK = "peaks, with a line for each zone from the other half"
 ALL = "calibrated on all frames, those tested among them"
-
-
-def data_sheet() -> Device:
-    """The sensor before calibration: boxes of its SPADs, an even beam, bins of 94 ps, a Gaussian pulse, 4 million
-    cycles."""
-    known = dg.device("tmf8820")
-    known = changed(
-        known, "zones", boxes=nominal_boxes(), blur=0.0, gains=(), delays_ps=(), glass=(), crosstalk=0.0098
-    )
-    known = changed(known, "light", field_deg=(64.0, 54.0), rows=8, columns=8, spread=None)
-    known = changed(known, "pulse", samples=(), sample_ps=None, start_ps=0.0, fwhm_ps=230.0)
-    return changed(changed(known, "time", bin_width_ps=94.0), "counting", cycles=4_000_000)
-
-
-def nominal_boxes() -> tuple[tuple[float, float, float, float], ...]:
-    """The zones, column by column as the sensor's histograms come."""
-    return tuple((x, y, w, h) for x, w in DATA_SHEET["columns"] for y, h in DATA_SHEET["rows"])
 
 
 @dataclass(frozen=True)
@@ -183,7 +165,9 @@ def without_tail(device: Device) -> Device:
 def with_zones(device: Device, side: float | None) -> Device:
     """Zones that look at sharp boxes as in the data sheet, or, with a side, along their axes alone. A plane at 0.3 m
     is as bright as before in each of them."""
-    boxes = nominal_boxes() if side is None else tuple((x, y, side, side) for x, y, _, _ in device.zones.boxes)
+    boxes = dg.device(DATA_SHEET).zones.boxes
+    if side is not None:
+        boxes = tuple((x, y, side, side) for x, y, _, _ in device.zones.boxes)
     other = changed(device, "zones", boxes=boxes, blur=0.0, glass=())
     facing = (0.3, 0.0, 0.0)
     before, after = (light_of(bare(of), facing).sum(axis=1) for of in (device, other))
@@ -269,24 +253,20 @@ class Sweep:
 
     @classmethod
     def read(cls, path: Path) -> Sweep:
-        """Every second frame of a file tests, from 0.1 to 0.4 m; the others calibrate."""
+        """The second and fourth quarter of a file's frames from 0.1 to 0.4 m test; the others calibrate."""
         frames = dg.read_frames(path)
         listed = json.loads(gzip.decompress(path.read_bytes()))
         chip = 1e-3 * np.array([frame["distances"][0]["depths_1"] for frame in listed], np.float64)
         z = distances(frames)
         order = np.argsort(z, kind="stable")
-        tested = order[1::2]
-        inside = (z[tested] >= RANGE_M[0] - 1e-9) & (z[tested] <= RANGE_M[1] + 1e-9)
-        return cls(frames, chip, order[::2], tested[inside])
+        order = order[(z[order] >= RANGE_M[0] - 1e-9) & (z[order] <= RANGE_M[1] + 1e-9)]
+        told, tested = fitted_and_tested(len(order))
+        return cls(frames, chip, order[told], order[tested])
 
     @property
     def truth(self) -> Array:
         """(m,) distances of the tested frames, m."""
         return distances(self.frames)[self.tested]
-
-    def some(self, rows: NDArray[np.int64]) -> Frames:
-        """The frames with these numbers."""
-        return Frames(self.frames.source, self.frames.histograms[rows], None, distances(self.frames)[rows])
 
 
 def distances(frames: Frames) -> Array:
@@ -332,8 +312,9 @@ class Found:
 
 def compared(sweep: Sweep, planes: int, epochs: int, seeds: int, workers: int) -> Found:
     """Calibrate, simulate, train, test."""
-    half = calibrate(sweep.some(sweep.told), data_sheet(), held_out=False, nearest_m=CALIBRATED_FROM_M)
-    everything = calibrate(sweep.frames, data_sheet(), held_out=False, nearest_m=CALIBRATED_FROM_M)
+    sheet = dg.device(DATA_SHEET)
+    half = calibrate(sweep.frames.some(sweep.told), sheet, held_out=False, nearest_m=CALIBRATED_FROM_M)
+    everything = calibrate(sweep.frames, sheet, held_out=False, nearest_m=CALIBRATED_FROM_M)
     devices = {name: without(half.device) for name, without in LEFT_OUT.items()} | {ALL: everything.device}
     drawn = Planes.drawn(planes, 0)
     counts = simulated(devices, drawn, workers)

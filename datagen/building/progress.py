@@ -14,8 +14,8 @@ many seconds a log has twice the lines."""
 
 
 class Progress:
-    """Reports on standard error how many scenes are made, and what the build does before the first scene; reports
-    nothing if not `shown`."""
+    """Reports on standard error how many scenes are made, and what a command does before the first scene or without
+    any; reports nothing if not `shown`."""
 
     def __init__(self, shown: bool) -> None:
         self._shown, self._began = shown, time.monotonic()
@@ -30,10 +30,12 @@ class Progress:
             # Terminals in containers may report a size of 0; tqdm would then show nothing.
             sized = min(os.get_terminal_size(sys.stderr.fileno())) > 1
             size = {"dynamic_ncols": True} if sized else {"ncols": 80, "nrows": 24}
-            self._bar = tqdm(unit="scene", leave=False, **size)
+            # Before scenes are counted the bar is what is done, and for how long.
+            self._bar = tqdm(unit="scene", leave=False, bar_format="{desc} [{elapsed}]", **size)
 
     def doing(self, what: str) -> None:
-        """Show what the build does before its first scene. Repeated calls keep the clock of the bar running."""
+        """Show what the command does, before the first scene or without any. Repeated calls keep the clock of the bar
+        running."""
         if self._bar is not None:
             self._bar.set_description_str(what)
         elif time.monotonic() >= self._line_due:
@@ -45,6 +47,7 @@ class Progress:
         self._line_due = self._began
         if self._bar is not None:
             self._bar.set_description_str("", refresh=False)
+            self._bar.bar_format = None
             self._bar.reset(total)
             self._bar.n, self._bar.initial, self._bar.leave = done, done, True
 

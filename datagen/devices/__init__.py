@@ -2,10 +2,11 @@
 held against their simulation."""
 
 from datagen.config.device import device_names
-from datagen.devices.calibrate import Calibration, Fitted, calibrate
+from datagen.devices.agreement import Fitted
+from datagen.devices.calibrate import Calibration, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
-from datagen.devices.model import Device, check_recorded_by, device, write_device
+from datagen.devices.model import Device, device, recorded_by, without_reference, write_device
 from datagen.devices.sight import share_of_late_zones, zone_depth
 
 __all__ = [
@@ -15,14 +16,15 @@ __all__ = [
     "Fitted",
     "Frames",
     "calibrate",
-    "check_recorded_by",
     "compare",
     "compare_datasets",
     "device",
     "device_names",
     "read_frames",
     "read_parts",
+    "recorded_by",
     "share_of_late_zones",
+    "without_reference",
     "write_device",
     "zone_depth",
 ]

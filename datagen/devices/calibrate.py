@@ -1,23 +1,19 @@
 """Calibration of a sensor of zones from a sweep: frames at known distances from a plane that it faces.
 
-The counts are first freed of saturation. A zone that is blind for whole laser periods after each detection counts in
-bin i, of N cycles, T_i = N_active h_i exp(−…) as first photons (Coates, J. Phys. E 1, 878 (1968)): with d the blind
-periods after each of the T detections,
-
-    λ_i = −ln(1 − T_i / (N − d T − Σ_{j<i} T_j))                                                                  (1)
-
-are the expected events per cycle, linear in the light. A plane at the distance z gives a zone
+The counts are first freed of saturation, which gives expected events per cycle λ (equation (1) of `saturation.py`). A
+plane at the distance z gives a zone
 
     λ(t) = floor + glass + g ∫ w(u) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du            (2)
 
 over its footprint w, u the tangents of the direction and θ its angle from the axis, and the nominal share of what the
-other zones get. N and z₀ follow from brightness
-over distance, the rest from the shapes of the histograms: the pulse as samples ≥ 0 of a linear least-squares problem,
-bin width, footprints' place, scale and blur, and each zone's delay by Gauss–Newton around it.
+other zones get. N and z₀ follow from brightness over distance, the rest from the shapes of the histograms: the pulse
+as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and blur, and each zone's delay
+by Gauss–Newton around it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -25,59 +21,33 @@ import numpy as np
 import scipy.optimize
 from scipy.special import ndtr
 
-from datagen.devices.frames import Frames
-from datagen.devices.model import Device, check_recorded_by
+from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance
+from datagen.devices.frames import Frames, fitted_and_tested
+from datagen.devices.model import Device, recorded_by
+from datagen.devices.saturation import blind_periods, saturated, unsaturated
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 NEAREST_M = 0.12
-"""Distance from which frames are used. Halved, the parallax of light and sensor, not in (2), spoils fits."""
+"""Distance from which frames are used, m: nearer, the parallax of light and sensor, which (2) lacks, changes them."""
 FARTHEST_M = 10.0
-"""Distance up to which frames are used."""
+"""Distance up to which frames are used, m: farther than such sensors see."""
 SUBSTEPS = 4
-"""Samples of the pulse in a bin. Halved, peaks move by up to 0.05 bin."""
+"""Samples of the pulse in a bin; with two, peaks move by up to 0.05 bin."""
 BEFORE, AFTER = 3, 26
-"""Bins before and after the peak that the pulse may take. Halved, a tail of 1 % is cut off."""
+"""Bins before and after the peak that the pulse may take; 13 after it would cut off a tail of 1 %."""
 SMOOTH = 2e-3
-"""Weight of the second differences of the pulse's samples. Halved, samples follow the noise a little more."""
+"""Weight of the second differences of the pulse's samples: enough that they do not follow the noise."""
 FITTED_FRAMES = 14
-"""Most frames of the shape fit. Halved, half the time, and errors √2 times as large."""
+"""Most frames of the fit of shapes: its time grows with them, and its errors fall with their square root."""
 PRIORS = {"distance": (1.0, 0.2), "size": (1.0, 0.1), "shift": (0.0, 0.05), "blur": (0.03, 0.03)}
 """Mean and standard deviation of what a plane alone fixes badly: the distance of zones from the axis and their size,
-relative to the nominal ones, the shift of all zones, and their blur.
-With half the standard deviations footprints stay closer to the nominal ones."""
+relative to the nominal ones, the shift of all zones, and their blur. The deviations say how far a real
+sensor may be from its data sheet."""
 PRIOR_WEIGHT = 0.02
 """Weight of a prior's standard deviation beside residuals, which are relative to a histogram's energy."""
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """A number that the calibration found, and its standard error (by frame, robust against what (2) misses)."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.5g} ± {self.error:.1g}"
-
-
-class HistogramErrors:
-    """The errors of histograms (n, zones, bins), as `modelled` and as `measured`."""
-
-    measured: Floats
-    modelled: Floats
-
-    @cached_property
-    def relative_l2(self) -> Floats:
-        """(n, zones) ‖modelled − measured‖ / ‖measured‖ of each histogram."""
-        return relative_l2(self.modelled, self.measured)
-
-    @cached_property
-    def peak_shift(self) -> Floats:
-        """(n, zones) modelled minus measured position of the peak, bins."""
-        return peak_positions(self.modelled) - peak_positions(self.measured)
 
 
 @dataclass(frozen=True)
@@ -90,6 +60,7 @@ class Calibration(HistogramErrors):
     fitted : name → number with its standard error.
     tested_m : (n,) distances of the frames that the fit did not see (or of all).
     measured, modelled : (n, zones, bins) histograms of those frames, as counted and as the device gives them.
+    held_out : whether the fit did not see them.
     """
 
     device: Device
@@ -97,6 +68,7 @@ class Calibration(HistogramErrors):
     tested_m: Floats
     measured: Floats
     modelled: Floats
+    held_out: bool
 
     @cached_property
     def brightness_error(self) -> Floats:
@@ -109,7 +81,7 @@ class Calibration(HistogramErrors):
         lines = ["fitted:"]
         lines += [f"  {name:24} {number}" for name, number in self.fitted.items()]
         lines += [
-            f"tested on {len(self.tested_m)} frames, {self.tested_m.min():.3g} to {self.tested_m.max():.3g} m:",
+            f"{self.tested}, {self.tested_m.min():.3g} to {self.tested_m.max():.3g} m:",
             f"  relative L2 of histograms  median {np.median(self.relative_l2):.4f}, 90th percentile "
             f"{np.percentile(self.relative_l2, 90):.4f}",
             "  by zone                    " + " ".join(f"{v:.3f}" for v in np.median(self.relative_l2, axis=0)),
@@ -121,60 +93,10 @@ class Calibration(HistogramErrors):
         return "\n".join(lines)
 
 
-def relative_l2(modelled: Floats, measured: Floats) -> Floats:
-    """(…) ‖modelled − measured‖ / ‖measured‖ of histograms (…, bins)."""
-    return np.asarray(np.linalg.norm(modelled - measured, axis=-1) / np.linalg.norm(measured, axis=-1))
-
-
-def clustered_covariance(jacobian: Floats, residuals: Floats, frames: int) -> Floats:
-    """(k, k) covariance of k numbers of a least-squares fit, from its Jacobian (rows, k) and residuals (rows,).
-
-    The first rows that residuals are given for are those of the frames, one frame after the other; rows beyond them,
-    such as those of priors, add information only. The gradients of each frame are summed before they are squared, so
-    that a misfit that all zones and bins of a frame share counts once (the sandwich of White, Econometrica 48, 817
-    (1980), by clusters).
-    """
-    data = len(residuals)
-    by_frame = (jacobian[:data] * residuals[:, None]).reshape(frames, -1, jacobian.shape[1]).sum(axis=1)
-    information = np.linalg.pinv(jacobian.T @ jacobian)
-    return np.asarray(information @ (by_frame.T @ by_frame) @ information)
-
-
-def peak_positions(histograms: Floats) -> Floats:
-    """(…) position of the peak of histograms (…, bins), bins: the vertex of a parabola through its three top bins."""
-    top = np.clip(histograms.argmax(axis=-1), 1, histograms.shape[-1] - 2)
-    low, mid, high = (np.take_along_axis(histograms, (top + k)[..., None], -1)[..., 0] for k in (-1, 0, 1))
-    bend = low - 2 * mid + high
-    return np.asarray(top + 0.5 * np.divide(low - high, bend, out=np.zeros_like(bend), where=bend != 0) + 0.5)
-
-
-def unsaturated(counts: Floats, cycles: float, blind: float) -> Floats:
-    """(…, bins) expected events per cycle λ from counts (…, bins), by equation (1).
-
-    cycles : laser pulses N. blind : periods d that a detection blinds. NaN where more is counted than N allows.
-    """
-    active = cycles - blind * counts.sum(axis=-1, keepdims=True)
-    before = np.cumsum(counts, axis=-1) - counts
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(-np.log1p(-counts / (active - before)))
-
-
-def saturated(events: Floats, cycles: float, blind: float) -> Floats:
-    """(…, bins) expected counts from expected events per cycle λ (…, bins): the inverse of `unsaturated`."""
-    before = np.cumsum(events, axis=-1) - events
-    first = -np.expm1(-events) * np.exp(-before)
-    return np.asarray(cycles * first / (1 + blind * first.sum(axis=-1, keepdims=True)))
-
-
-def blind_periods(device: Device) -> float:
-    """Whole laser periods that a detection blinds a zone of the device for, beyond the one it falls into."""
-    c = device.counting
-    return float(np.floor(c.dead_time_ns * 1e-3 * c.repetition_rate_mhz)) if c.mode == "free_running" else 0.0
-
-
 def calibrate(
-    frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M
-) -> Calibration:
+    frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M,
+    doing: Callable[[str], None] | None = None,
+) -> Calibration:  # fmt: skip
     """A device whose numbers are those of the sensor that recorded a sweep before a plane.
 
     Parameters
@@ -182,8 +104,10 @@ def calibrate(
     frames : histograms and distances to a plane that the sensor faces squarely.
     device : what the sensor is nominally; what a plane does not tell (crosstalk, dead time, …) stays.
     albedo : of the plane, a diffuse one; the emitted light is known only relative to it.
-    held_out : whether every second distance is kept back for the test; else all are fitted, and tested.
+    held_out : whether the second and fourth quarter of the distances are held out to test; else all are fitted, and
+        tested.
     nearest_m : distance from which frames are used, metres.
+    doing : called with a line of text before each step of the work, which takes seconds.
 
     Raises
     ------
@@ -193,22 +117,23 @@ def calibrate(
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
-    check_recorded_by(frames.source, frames, device, device.zones.count)
+    frames = recorded_by(frames.source, frames, device, device.zones.count)
     if device.zones.map is not None:
         raise InputError(
             f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"
         )
     z = frames.distances_m
+    assert z is not None
     usable = np.flatnonzero((z >= nearest_m) & (z <= FARTHEST_M))
     usable = usable[np.argsort(z[usable], kind="stable")]
     if len(usable) < 8:
         raise InputError(f"{frames.source}: {len(usable)} frames from {nearest_m:g} m on; at least 8 are needed")
-    fitted = usable[::2] if held_out else usable
-    tested = usable[1::2] if held_out else usable
-    fit = _Fit.of(frames.histograms[fitted], z[fitted], device)
+    doing = doing or (lambda what: None)
+    fitted, tested = (usable[rows] for rows in fitted_and_tested(len(usable))) if held_out else (usable, usable)
+    fit = _Fit.of(frames.histograms[fitted], z[fitted], device, doing)
     calibrated, numbers = fit.device(albedo)
     return Calibration(
-        calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested])
+        calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested]), held_out
     )  # fmt: skip
 
 
@@ -234,15 +159,16 @@ class _Fit:
     pulse: Floats
 
     @classmethod
-    def of(cls, counts: Floats, z: Floats, nominal: Device) -> _Fit:
+    def of(cls, counts: Floats, z: Floats, nominal: Device, doing: Callable[[str], None]) -> _Fit:
         """The fit of counts (n, zones, bins) at distances z (n,)."""
         blind = blind_periods(nominal)
         start = _Shape.of(nominal)
         first = int(min(start.zero_bins.min(), nominal.time.zero_bin)) - BEFORE
+        doing("cycles and distance offset are fitted to the brightness over distance")
         cycles, offset = _brightness(counts, z, blind, first)
         rng = np.random.default_rng(0)
-        again = [rng.integers(len(z), size=len(z)) for _ in range(20)]
-        spread = np.std([_brightness(counts[rows], z[rows], blind, first) for rows in again], axis=0)
+        resampled = [rng.integers(len(z), size=len(z)) for _ in range(20)]
+        spread = np.std([_brightness(counts[rows], z[rows], blind, first) for rows in resampled], axis=0)
         events = unsaturated(counts, cycles, blind)
         floor = events[:, :, 1 : max(first, 2)].mean(axis=(0, 2))
         light = events - floor[:, None]
@@ -255,7 +181,7 @@ class _Fit:
         brightness = np.median(light.sum(axis=2) * (z[:, None] + offset) ** 2, axis=0)
         start = replace(start, sharing=_sharing(brightness, nominal.zones.crosstalk))
         rows = np.unique(np.linspace(0, len(z) - 1, FITTED_FRAMES).round().astype(int))
-        problem = _ShapeProblem(light[rows], z[rows] + offset, start)
+        problem = _ShapeProblem(light[rows], z[rows] + offset, start, doing)
         shape, covariance, pulse = problem.solved()
         errors = float(spread[0]), float(spread[1])
         return cls(nominal, cycles, offset, errors, brightness, floor, glass, shape, covariance, pulse)
@@ -370,9 +296,9 @@ def _brightness(counts: Floats, z: Floats, blind: float, first: int) -> tuple[fl
 
 
 RAYS_ALONG = 64
-"""Directions along each side of the field, of which footprints are sums. Halved, footprints err by 1 %."""
+"""Directions along each side of the field, of which footprints are sums; with 32, footprints err by 1 %."""
 SLANTS = 120
-"""Slants 1/cosθ that arrivals are sorted by. Halved, arrivals are known to a tenth of a bin at 1 m."""
+"""Slants 1/cosθ that arrivals are sorted by; with 60, arrivals are known to a tenth of a bin at 1 m."""
 
 
 def _sharing(brightness: Floats, crosstalk: float) -> Floats:
@@ -481,6 +407,7 @@ class _ShapeProblem:
     light: Floats
     z: Floats
     start: _Shape
+    doing: Callable[[str], None]
 
     def solved(self) -> tuple[_Shape, Floats, Floats]:
         """The fitted shape, its parameters' covariance (by clusters), and the pulse (samples,), of sum 1."""

@@ -1,7 +1,7 @@
 """Captures held against their simulation: what a sensor recorded at known poses, and what its device gives there.
 
 The light that a posed device gets from a mesh is that of one bounce (`datagen.transport.flood`), for each part of the
-mesh with albedo 1. Freed of saturation (`calibrate.unsaturated`), counts are linear in the parts' albedos and a
+mesh with albedo 1. Freed of saturation (`saturation.unsaturated`), counts are linear in the parts' albedos and a
 floor, so these follow from a non-negative least-squares fit, each histogram weighted by 1 / ‖histogram‖. What is not
 linear is fitted around it by Levenberg–Marquardt, step by step, so that the gain of each step is seen:
 
@@ -9,7 +9,8 @@ linear is fitted around it by Levenberg–Marquardt, step by step, so that the g
     mesh    where the mesh stands: a turn and a shift from the file's coordinates to those of the poses;
     zones   the device: place, gain and delay of each zone, their common size and blur, crosstalk, spread of light.
 
-Every second frame is kept back and tested.
+The fit, the choice of the sensor's mode among them, gets the frames of `frames.fitted_and_tested` alone. Errors are
+those of the other frames, simulated with the numbers that the fit found.
 """
 
 from __future__ import annotations
@@ -28,20 +29,13 @@ from scipy.spatial.transform import Rotation
 from datagen.config.device import device_names
 from datagen.detector import expected_histogram
 from datagen.detector.flux import dark_count_rates
-from datagen.devices.calibrate import (
-    Fitted,
-    HistogramErrors,
-    blind_periods,
-    clustered_covariance,
-    relative_l2,
-    saturated,
-    unsaturated,
-)
-from datagen.devices.frames import Frames
-from datagen.devices.model import Device, check_recorded_by, device
+from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance, relative_l2
+from datagen.devices.frames import Frames, fitted_and_tested
+from datagen.devices.model import Device, device, has_shape_of, recorded_by
+from datagen.devices.saturation import blind_periods, saturated, unsaturated
 from datagen.errors import InputError
 from datagen.records import Lambertian, Part, Scene
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
@@ -51,23 +45,25 @@ from scene_library.meshes import BadMesh, triangles_of
 Group = Literal["hand", "mesh", "zones"]
 GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
 FIT_RAYS = 1 << 12
-"""Rays of a frame's light while it is fitted; the result is simulated with all. Halved, fits follow the noise of the
-rays: shifts err by 0.2 mm more."""
+"""Rays of a frame's light while it is fitted. The time of a fit grows with them; with half of them fitted shifts err
+by 0.2 mm more. Frames that test are simulated with `flood.RAYS`."""
 FITTED_FRAMES = 32
-"""Most frames of a fit. Halved, half the time, and errors √2 times as large."""
-FEWEST_HELD_BACK = 16
-"""Frames from which every second one is kept back for the test. Halved, fits of four frames are tested on four."""
+"""Most frames of a fit, evenly spread over those that it may see: its time grows with them, and its errors fall with
+their square root."""
+FEWEST_HELD_OUT = 16
+"""Frames from which half are held out to test. With fewer, twelve numbers of places would hang on too few poses."""
 STEPS = 12
-"""Steps of a fit. Halved, it ends before it has converged."""
+"""Most steps of a fit; those of real frames around a pyramid end after 4 to 8."""
 PRIOR_WEIGHT = 0.01
-"""Weight of a prior's standard deviation beside residuals, which are relative to a histogram's norm. Halved, what the
-frames do not tell moves twice as far."""
+"""Relative error of one histogram that costs a fit as much as a number that is one standard deviation of its prior
+away from the prior's mean; histograms err by several times as much."""
 CONCAVE_RAD = 0.1
-"""Angle of a concave edge from which it divides a mesh into parts. Halved, coarsely curved ones are, too."""
+"""Angle of a concave edge from which it divides a mesh into parts; flatter ones are taken for curved surfaces."""
 TAIL_BINS = 8.0
-"""Decay of the late light that `Comparison.left` looks for, bins. Halved, it is taken for a wider pulse."""
+"""Decay of the late light that `Comparison.left` looks for, bins: longer than the pulses of sensors of zones, which
+would be taken for it, and shorter than their window."""
 MOST_ZONES_LISTED = 64
-"""Zones up to which the table has a line for each. Halved, sensors of 8 × 8 zones get none."""
+"""Zones up to which the table has a line for each: sensors of 8 × 8 zones have one, cameras do not."""
 MEANING = {
     "brightness": "gains of zones, albedos that vary over a part, gloss",
     "time": "places of sensor, mesh and zones; delays; drift",
@@ -75,11 +71,11 @@ MEANING = {
     "late light": "light of several bounces, tail of the pulse, what the mesh lacks",
 }
 MOST_PARTS = 8
-"""Pieces of a mesh that get albedos of their own; a mesh of more is one part. Halved, a table with four things is."""
+"""Pieces of a mesh that get albedos of their own. A mesh of more is one part: nine zones tell few albedos apart."""
 UNIT = 0.5
 """Albedo that light is simulated with and then divided by."""
 TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
-"""Steps of the differences of turns and shifts. Halved, the noise of rays at edges doubles in them."""
+"""Steps of the differences of turns and shifts. In smaller ones the noise of rays that pass an edge is larger."""
 
 
 @dataclass(frozen=True)
@@ -93,6 +89,7 @@ class Comparison(HistogramErrors):
     steps : what was fitted so far → median and 90th percentile of the relative L2 of the tested histograms.
     measured, modelled : (n, zones, bins) the tested histograms, counts.
     device : the device as fitted; None for two datasets.
+    held_out : whether the fit did not see the tested histograms.
     """
 
     source: str
@@ -102,6 +99,7 @@ class Comparison(HistogramErrors):
     measured: Floats
     modelled: Floats
     device: Device | None = None
+    held_out: bool = False
 
     @cached_property
     def residual_sd(self) -> Floats:
@@ -134,6 +132,7 @@ class Comparison(HistogramErrors):
             "source": self.source,
             "simulated_as": self.simulated_as,
             "tested_frames": len(self.measured),
+            "held_out": self.held_out,
             "median_relative_l2": float(np.median(error)),
             "p90_relative_l2": float(np.percentile(error, 90)),
             "median_relative_l2_by_zone": np.median(error, axis=0).tolist(),
@@ -150,7 +149,7 @@ class Comparison(HistogramErrors):
         """The numbers as a table."""
         error, shift = self.relative_l2, np.abs(self.peak_shift)
         zones = error.shape[1]
-        lines = [f"{self.source}, simulated as {self.simulated_as}; {len(error)} frames tested", "fitted:"]
+        lines = [f"{self.source}, simulated as {self.simulated_as}; {self.tested}", "fitted:"]
         lines += [f"  {name:32} {number}" for name, number in self.fitted.items()]
         lines.append("relative L2 of histograms, median (90th percentile), after fitting")
         lines += [f"  {name:32} {a:.4f} ({b:.4f})" for name, (a, b) in self.steps.items()]
@@ -205,72 +204,83 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
 
 
 def compare(
-    frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = ("hand", "mesh")
-) -> Comparison:
+    frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = ("hand", "mesh"),
+    doing: Callable[[str], None] | None = None,
+) -> Comparison:  # fmt: skip
     """Frames of a sensor at known poses before a known mesh, held against their simulation.
 
     Parameters
     ----------
-    frames : histograms and poses.
+    frames : histograms and poses, in the order of recording. Of 16 frames or more the second and fourth quarter are
+        held out and tested; the fit sees the others, 32 at most.
     sensor : the device that recorded them. If the catalogue has it in other modes, too (its name and `_`), that mode
         is taken which fits best, as frames do not say in which they were taken.
     parts : the mesh, in the coordinates of the poses; albedos are fitted (`read_parts`).
     fit : what is fitted besides albedos and floor, in this order (see the module).
+    doing : called with a line of text before each step of the work, which takes seconds.
 
     Raises
     ------
-    InputError : no poses, another number of zones or bins than the device has, more counts than the device has
-        cycles, or no part in sight.
+    InputError : no poses, another number of zones or bins than the device has, histograms without a count, more
+        counts than the device has cycles, or no part in sight.
     """
-    if frames.poses is None:
-        raise InputError(f"{frames.source}: has no poses (`pose`); frames at known poses are needed")
     bad = [group for group in fit if group not in GROUPS]
     if bad:
         raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
-    modes = [sensor, *(device(name) for name in device_names() if name.startswith(f"{sensor.name}_"))]
-    shape = frames.histograms.shape[1:]
-    fitting = [mode for mode in modes if (mode.zones.count, mode.time.bins) == shape]
-    if not fitting:
-        check_recorded_by(frames.source, frames, sensor, sensor.zones.count)
-    held_back = len(frames) >= FEWEST_HELD_BACK
-    fitted = np.arange(len(frames))[:: 2 if held_back else 1]
-    tested = np.arange(len(frames))[1::2] if held_back else fitted
-    fitted = fitted[np.unique(np.linspace(0, len(fitted) - 1, min(len(fitted), FITTED_FRAMES)).round().astype(int))]
-    session = _Session.of(frames, parts)
+    doing = doing or (lambda what: None)
+    frames, modes = _checked(frames, sensor)
+    held_out = len(frames) >= FEWEST_HELD_OUT
+    everything = np.arange(len(frames))
+    fitted, tested = fitted_and_tested(len(frames)) if held_out else (everything, everything)
+    fitted = fitted[np.unique(np.linspace(0, len(fitted) - 1, FITTED_FRAMES).round().astype(int))]
+    session, test = _Session.of(frames.some(fitted), parts, doing), frames.some(tested)
     groups: list[Group] = [group for group in GROUPS if group in fit]
-    states = [_State(mode, np.zeros(6), np.zeros(6)) for mode in fitting]
-    for state in states:
-        session.check_counts(state.device)
-    steps: dict[str, tuple[float, float]] = {}
-    numbers: dict[str, Fitted] = {}
-
-    def noted(what: str, state: _State) -> None:
-        error = session.errors(state, tested)
-        steps[what] = float(np.median(error)), float(np.percentile(error, 90))
-
-    begun = [session.solved(state, groups[:1], fitted) if groups else (state, numbers) for state in states]
-    chosen = 0
-    if len(states) > 1:
-        chosen = int(np.argmin([np.median(session.errors(state, tested)) for state, _ in begun]))
-    noted("albedos, floor", states[chosen])
-    state, numbers = begun[chosen]
+    starts = [_State(mode, np.zeros(6), np.zeros(6)) for mode in modes]
+    trials = [session.solved(start, groups[:1]) for start in starts]
+    best = int(np.argmin([np.median(session.errors(state)) for state, _ in trials]))
+    states, (state, numbers) = {"albedos, floor": starts[best]}, trials[best]
     for count, group in enumerate(groups, 1):
         if count > 1:
-            state, numbers = session.solved(state, groups[:count], fitted)
-        noted(f"+ {group}", state)
-    albedos, floor, errors = session.linear(state, fitted)
-    names = session.scene.part_names
+            state, numbers = session.solved(state, groups[:count])
+        states[f"+ {group}"] = state
+    steps = {}
+    for what, state in states.items():
+        doing(f"{len(test)} frames are simulated after a fit of {what.removeprefix('+ ')}")
+        albedos, floor, errors = session.linear(state)
+        modelled = session.at(test).simulated(state, albedos, floor)
+        error = relative_l2(modelled, test.histograms)
+        steps[what] = float(np.median(error)), float(np.percentile(error, 90))
+    names, cycles = session.scene.part_names, state.device.counting.cycles
     of_parts = {f"albedo of {name}": Fitted(a, e) for name, a, e in zip(names, albedos, errors, strict=False)}
-    of_floor = {
-        "floor (counts a bin)": Fitted(
-            floor * state.device.counting.cycles, errors[-1] * state.device.counting.cycles
-        )
-    }
-    modelled = session.simulated(state, tested, albedos, floor)
+    of_floor = {"floor (counts a bin)": Fitted(floor * cycles, errors[-1] * cycles)}
     return Comparison(
-        frames.source, state.device.name, of_parts | of_floor | numbers, steps, frames.histograms[tested], modelled,
-        state.device,
+        frames.source, state.device.name, of_parts | of_floor | numbers, steps, test.histograms, modelled,
+        state.device, held_out,
     )  # fmt: skip
+
+
+def _checked(frames: Frames, sensor: Device) -> tuple[Frames, list[Device]]:
+    """The frames without a leading reference channel, and the modes of the sensor that have their shape. Raises
+    `InputError` as `compare` does."""
+    if frames.poses is None:
+        raise InputError(f"{frames.source}: has no poses (`pose`); frames at known poses are needed")
+    modes = [sensor, *(device(name) for name in device_names() if name.startswith(f"{sensor.name}_"))]
+    modes = [mode for mode in modes if has_shape_of(frames, mode, mode.zones.count)] or [sensor]
+    frames = recorded_by(frames.source, frames, modes[0], modes[0].zones.count)
+    sums = frames.histograms.sum(axis=2)
+    if not sums.all():
+        raise InputError(
+            f"{frames.source}: {np.sum(sums == 0)} histograms are empty; leave their frames out, since an error "
+            "relative to nothing says nothing"
+        )
+    for mode in modes:
+        most, blind, cycles = sums.max(), blind_periods(mode), mode.counting.cycles
+        if not most * (1 + blind) < cycles:
+            raise InputError(
+                f"{frames.source}: a zone counted {most:.0f} events, {mode.name} has counting.cycles = {cycles}, "
+                f"which give at most {cycles / (1 + blind):.0f}; raise cycles in a device file"
+            )
+    return frames, modes
 
 
 def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
@@ -329,18 +339,19 @@ class _State:
 
 @dataclass(frozen=True)
 class _Session:
-    """What was recorded, and of what. centre : (3,) the point that the mesh is turned around."""
+    """Frames, and what they are of. A fit sees the frames of its session alone. centre : (3,) the point that the mesh
+    is turned around."""
 
     counts: Floats
     poses: Floats
-    source: str
     scene: Scene
     caster: Raycaster
     materials: MaterialTable
     centre: Floats
+    doing: Callable[[str], None]
 
     @classmethod
-    def of(cls, frames: Frames, parts: Sequence[Part]) -> _Session:
+    def of(cls, frames: Frames, parts: Sequence[Part], doing: Callable[[str], None]) -> _Session:
         """The session of frames before a mesh. Raises `InputError` if no frame's axis meets it."""
         assert frames.poses is not None
         scene = Scene.from_parts(list(parts))
@@ -352,23 +363,17 @@ class _Session:
                 "coordinates of the poses, whose third column looks out"
             )
         centre = np.median(seen.position[seen.valid], axis=0)
-        return cls(
-            frames.histograms, frames.poses, frames.source, scene, caster, MaterialTable.of(scene.materials), centre
-        )
+        materials = MaterialTable.of(scene.materials)
+        return cls(frames.histograms, frames.poses, scene, caster, materials, centre, doing)
 
-    def check_counts(self, sensor: Device) -> None:
-        """Raise `InputError` where more was counted than the device has cycles for."""
-        most, blind = self.counts.sum(axis=2).max(), blind_periods(sensor)
-        if not most * (1 + blind) < sensor.counting.cycles:
-            raise InputError(
-                f"{self.source}: a zone counted {most:.0f} events, {sensor.name} has counting.cycles = "
-                f"{sensor.counting.cycles}, which give at most {sensor.counting.cycles / (1 + blind):.0f}; raise "
-                "cycles in a device file"
-            )
+    def at(self, frames: Frames) -> _Session:
+        """The session of other frames before the same mesh."""
+        assert frames.poses is not None
+        return replace(self, counts=frames.histograms, poses=frames.poses)
 
-    def pose(self, state: _State, frame: int) -> Floats:
-        """(4, 4) pose of the aperture before the mesh as its file has it."""
-        hand, pose = np.eye(4), self.poses[frame].copy()
+    def placed(self, state: _State, pose: Floats) -> Floats:
+        """(4, 4) pose of the aperture before the mesh as its file has it, of a stated pose (4, 4)."""
+        hand = np.eye(4)
         hand[:3, :3], hand[:3, 3] = Rotation.from_rotvec(state.hand[:3]).as_matrix(), state.hand[3:]
         pose = pose @ hand
         back = Rotation.from_rotvec(state.mesh[:3]).as_matrix().T
@@ -376,31 +381,31 @@ class _Session:
         pose[:3, 3] = back @ (pose[:3, 3] - self.centre - state.mesh[3:]) + self.centre
         return np.asarray(pose)
 
-    def light(self, state: _State, frames: Ints, rays: int) -> Floats:
+    def light(self, state: _State, rays: int) -> Floats:
         """(K + 1, n, zones, steps) light of each part with albedo 1, as the zones record it, and of the glass."""
         found = []
-        for frame in frames:
-            capture, _, _ = state.device.at_pose(self.pose(state, int(frame)))
+        for pose in self.poses:
+            capture, _, _ = state.device.at_pose(self.placed(state, pose))
             parts, _ = one_bounce_of_beam(self.scene, capture, self.caster, self.materials, rays)
             light = [at_sensor(part[None] / UNIT, capture)[0] for part in parts]
             found.append(np.stack([*light, glass_light(capture)[0]]))
         return np.stack(found, axis=1)
 
-    def events(self, state: _State, frames: Ints, rays: int = FIT_RAYS) -> Floats:
+    def events(self, state: _State) -> Floats:
         """(K + 1, n, zones, bins) events per cycle of that light, without saturation."""
-        light = self.light(state, frames, rays)
+        light = self.light(state, FIT_RAYS)
         spad = replace(state.device.spad, mode="ideal", dead_time_s=0.0, dark_count_rate_hz=0.0)
         exposure = replace(state.device.exposure, cycles=1, ambient_rate_hz=0.0)
         flat = light.reshape(-1, *light.shape[2:])
         counted = expected_histogram(flat, state.device.axis, spad, exposure)
         return counted.reshape(*light.shape[:3], -1)
 
-    def balanced(self, state: _State, frames: Ints) -> tuple[Floats, Floats, Floats, Floats]:
+    def balanced(self, state: _State) -> tuple[Floats, Floats, Floats, Floats]:
         """The linear fit: coefficients (K + 1,) of the parts and the floor, and the modelled events (n, zones, bins);
         the design (rows, K + 1) and the residuals (rows,) of the fit."""
-        device_, counts = state.device, self.counts[frames]
-        *parts, glass = self.events(state, frames)
-        events = unsaturated(counts, device_.counting.cycles, blind_periods(device_)) - glass
+        device_ = state.device
+        *parts, glass = self.events(state)
+        events = unsaturated(self.counts, device_.counting.cycles, blind_periods(device_)) - glass
         weight = 1 / np.linalg.norm(events, axis=2, keepdims=True)
         floors = dark_count_rates(replace(device_.spad, dark_count_rate_hz=1.0), events.shape[1])[:, None]
         columns = [(part * weight).ravel() for part in parts] + [(floors * np.ones_like(events) * weight).ravel()]
@@ -410,45 +415,53 @@ class _Session:
         modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(parts)) + found[-1] * floors + glass
         return found, modelled, design, (events * weight).ravel() - design @ found
 
-    def linear(self, state: _State, frames: Ints) -> tuple[Floats, float, Floats]:
+    def linear(self, state: _State) -> tuple[Floats, float, Floats]:
         """Albedos (K,), the floor in events per cycle, and standard errors (K + 1,), by frames, of both."""
-        found, _, design, residual = self.balanced(state, frames)
-        errors = np.sqrt(np.maximum(np.diag(clustered_covariance(design, residual, len(frames))), 0.0))
+        found, _, design, residual = self.balanced(state)
+        errors = np.sqrt(np.maximum(np.diag(clustered_covariance(design, residual, len(self.counts))), 0.0))
         return found[:-1], float(found[-1]), errors
 
-    def residuals(self, state: _State, frames: Ints) -> Floats:
+    def residuals(self, state: _State) -> Floats:
         """(n, zones, bins) modelled minus measured counts, relative to each histogram's norm."""
-        _, modelled, _, _ = self.balanced(state, frames)
-        counts = self.counts[frames]
+        _, modelled, _, _ = self.balanced(state)
         model = saturated(modelled, state.device.counting.cycles, blind_periods(state.device))
-        return np.asarray((model - counts) / np.linalg.norm(counts, axis=2, keepdims=True))
+        return np.asarray((model - self.counts) / np.linalg.norm(self.counts, axis=2, keepdims=True))
 
-    def errors(self, state: _State, frames: Ints) -> Floats:
+    def errors(self, state: _State) -> Floats:
         """(n, zones) relative L2 of the histograms."""
-        return np.asarray(np.linalg.norm(self.residuals(state, frames), axis=2))
+        return np.asarray(np.linalg.norm(self.residuals(state), axis=2))
 
-    def simulated(self, state: _State, frames: Ints, albedos: Floats, floor: float) -> Floats:
-        """(n, zones, bins) expected counts of frames, with all rays and the detector's own statistics."""
+    def simulated(self, state: _State, albedos: Floats, floor: float) -> Floats:
+        """(n, zones, bins) expected counts with all rays and the detector's own statistics."""
         width = state.device.time.bin_width_ps * 1e-12
         spad = replace(state.device.spad, dark_count_rate_hz=floor / width)
-        light = np.einsum("k,knzt->nzt", np.append(albedos, 1.0), self.light(state, frames, RAYS))
+        light = np.einsum("k,knzt->nzt", np.append(albedos, 1.0), self.light(state, RAYS))
         return expected_histogram(light, state.device.axis, spad, state.device.exposure, approximate=True)
 
-    def solved(self, state: _State, groups: Sequence[Group], frames: Ints) -> tuple[_State, dict[str, Fitted]]:
+    def solved(self, state: _State, groups: Sequence[Group]) -> tuple[_State, dict[str, Fitted]]:
         """The state after a fit of groups, and the numbers that were fitted."""
+        if not groups:
+            return state, {}
         unknowns = [unknown for group in groups for unknown in UNKNOWNS[group](state)]
         begin = np.array([unknown.value for unknown in unknowns])
         unit = np.array([unknown.deviation for unknown in unknowns])
         step = np.array([unknown.step for unknown in unknowns]) / unit
+
+        steps = list[int]()
 
         def moved(x: Floats) -> _State:
             return _moved(state, groups, begin + x * unit)
 
         def residuals(x: Floats) -> Floats:
             prior = np.array([unknown.prior for unknown in unknowns])
-            return np.append(self.residuals(moved(x), frames).ravel(), PRIOR_WEIGHT * ((begin - prior) / unit + x))
+            return np.append(self.residuals(moved(x)).ravel(), PRIOR_WEIGHT * ((begin - prior) / unit + x))
 
         def jacobian(x: Floats) -> Floats:
+            steps.append(len(steps) + 1)
+            self.doing(
+                f"{state.device.name}: {', '.join(groups)} fitted to {len(self.counts)} frames, step {steps[-1]} of "
+                f"at most {STEPS}"
+            )
             # Wide central differences, since rays that pass an edge make small ones noisy.
             columns = [
                 (residuals(x + along) - residuals(x - along)) / (2 * step[k]) for k, along in enumerate(np.diag(step))
@@ -459,7 +472,7 @@ class _Session:
             residuals, np.zeros(len(unknowns)), jac=jacobian, max_nfev=STEPS, xtol=1e-3, ftol=1e-4
         )
         data = len(found.fun) - len(unknowns)
-        errors = np.sqrt(np.diag(clustered_covariance(found.jac, found.fun[:data], len(frames)))) * unit
+        errors = np.sqrt(np.diag(clustered_covariance(found.jac, found.fun[:data], len(self.counts)))) * unit
         values = begin + found.x * unit
         numbers = {
             unknown.name: Fitted(float(value * unknown.shown), float(error * unknown.shown))

@@ -6,18 +6,18 @@ import gzip
 import json
 import zipfile
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from datagen.errors import InputError
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
 MOST_BYTES = 2**31
-"""Largest file that is read, 2 GiB. Halved, sweeps of half the length are refused."""
+"""Largest file that is read, 2 GiB: some 10⁵ frames of 9 zones as JSON."""
 DAMAGED = (
     OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
@@ -31,7 +31,7 @@ class Frames:
     Attributes
     ----------
     source : the file's name.
-    histograms : (n, zones, bins) counts.
+    histograms : (n, zones, bins) counts; with the ambient light that the sensor subtracted, where a file has it.
     poses : (n, 4, 4) poses of the sensor, its z axis looking out, metres; None where the file holds none.
     distances_m : (n,) distances to a plane that the sensor faces; None where the file holds none.
     reference : (n, bins) the reference channel inside the sensor; None where the file holds none.
@@ -46,13 +46,31 @@ class Frames:
     def __len__(self) -> int:
         return len(self.histograms)
 
+    def some(self, rows: Ints) -> Frames:
+        """The frames with these numbers."""
+        given = {name: getattr(self, name) for name in ("poses", "distances_m", "reference")}
+        there = {name: values[rows] for name, values in given.items() if values is not None}
+        return replace(self, histograms=self.histograms[rows], **there)
+
+
+def fitted_and_tested(count: int) -> tuple[Ints, Ints]:
+    """Of frames along a path of the sensor or a sweep: numbers of those that a fit sees, the first and third quarter,
+    and of those that are held out to test it, the second and fourth.
+
+    Neighbours on the path see nearly the same, so that every second frame would test a fit by what it has seen.
+    """
+    quarter = np.arange(count) * 4 // count
+    return np.flatnonzero(quarter % 2 == 0), np.flatnonzero(quarter % 2 == 1)
+
 
 def read_frames(path: str | Path) -> Frames:
     """The frames of a file.
 
     path : JSON (also .gz), a list of frames with `hists` (zones, bins) and, in all frames or none, `pose` (4, 4),
-        `dist_to_plane` (metres) and `reference_hist` (bins); .npz with `hists` (n, zones, bins) and the same optional
-        names for all frames; or .npy with the histograms alone.
+        `dist_to_plane` (metres), `reference_hist` (bins) and `ambient` (zones,); .npz with `hists` (n, zones, bins)
+        and the same optional names for all frames; or .npy with the histograms alone. `ambient` is what a sensor
+        subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole count
+        where `hists` is whole.
 
     Raises `InputError` for a file that is missing or damaged, and for histograms that are ragged, negative or not
     finite.
@@ -68,15 +86,43 @@ def read_frames(path: str | Path) -> Frames:
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
     except DAMAGED as error:
         raise InputError(f"{path}: holds no frames of a sensor ({error})") from None
+    ambient = found.pop("ambient", None)
     frames = Frames(path.name, **found)
     counts = frames.histograms
-    if counts.ndim != 3 or not counts.size or not np.isfinite(counts).all() or (counts < 0).any():
+    if counts.ndim != 3 or not counts.size or not np.isfinite(counts).all():
         raise InputError(f"{path}: hists of shape {counts.shape}; finite counts ≥ 0 (frames, zones, bins) are needed")
+    if ambient is not None:
+        counts = _with_ambient(path, counts, ambient)
+        frames = replace(frames, histograms=counts)
+    elif (counts < 0).any():
+        raise InputError(
+            f"{path}: hists: {(counts < 0).mean():.1%} of the values are negative, as where a sensor subtracts "
+            "ambient light; give what it subtracted beside hists: ambient, one number ≥ 0 a zone, counts a bin"
+        )
     for name, shape in (("poses", (4, 4)), ("distances_m", ()), ("reference", (counts.shape[2],))):
         values = getattr(frames, name)
         if values is not None and (values.shape != (len(counts), *shape) or not np.isfinite(values).all()):
             raise InputError(f"{path}: {name} of shape {values.shape} for {len(counts)} frames; give one a frame")
     return frames
+
+
+def _with_ambient(path: Path, counts: Floats, ambient: Floats) -> Floats:
+    """Histograms (n, zones, bins) with the ambient light (n, zones), counts a bin, that the sensor has subtracted."""
+    if ambient.shape != counts.shape[:2] or not np.isfinite(ambient).all() or (ambient < 0).any():
+        raise InputError(
+            f"{path}: ambient of shape {ambient.shape} for hists of shape {counts.shape}; one finite number ≥ 0 for "
+            "each zone of each frame is needed, in counts a bin"
+        )
+    whole = counts + ambient[:, :, None]
+    if (counts % 1 == 0).all():
+        # A chip counts whole events and subtracts a mean.
+        whole = np.rint(whole)
+    if (whole < 0).any():
+        raise InputError(
+            f"{path}: hists + ambient has values down to {whole.min():.4g}; ambient must be what was subtracted from "
+            "each bin, in the unit of hists"
+        )
+    return np.asarray(whole)
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -95,12 +141,12 @@ def _json(path: Path) -> dict[str, Any]:
         raise ValueError("no frame has 'hists'")
     return {
         "histograms": histograms, "poses": of("pose"), "distances_m": of("dist_to_plane"),
-        "reference": of("reference_hist"),
+        "reference": of("reference_hist"), "ambient": of("ambient"),
     }  # fmt: skip
 
 
 def _numpy(path: Path) -> dict[str, Any]:
-    names = {"poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist"}
+    names = {"poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist", "ambient": "ambient"}
     # A file that numpy opens itself stays open where it turns out to be damaged.
     with path.open("rb") as file:
         loaded = np.load(file)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from datagen.config.detector import DetectorConfig
-from datagen.config.device import DeviceConfig, read_device
+from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
 from datagen.devices.frames import Frames
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records import Capture
 from datagen.records.checks import as_points
 from datagen.store.files import write_atomically
@@ -70,14 +72,58 @@ class Device(DeviceConfig):
         return detector_for(DetectorConfig().of_device(self), 0, 0)
 
 
-def check_recorded_by(source: object, frames: Frames, device: Device, zones: int) -> None:
-    """Raise `InputError`, which names the `source`, for frames of other than `zones` zones with a device's bins."""
+def has_shape_of(frames: Frames, device: Device, zones: int) -> bool:
+    """Whether frames have `zones` zones, or one more, and a device's bins."""
     _, found, bins = frames.histograms.shape
-    if (found, bins) != (zones, device.time.bins):
-        raise InputError(
-            f"{source}: {found} zones of {bins} bins, {device.name} has {zones} of {device.time.bins}; "
-            "name the device that recorded it"
+    return found in (zones, zones + 1) and bins == device.time.bins
+
+
+def recorded_by(source: object, frames: Frames, device: Device, zones: int) -> Frames:
+    """Frames of a device with `zones` zones.
+
+    Where there is one histogram more than zones, the first is taken as that of the reference channel, as drivers put
+    it: it is moved to `Frames.reference` with a warning. Raises `InputError`, which names the `source`, for frames of
+    other shapes.
+    """
+    _, found, bins = frames.histograms.shape
+    what = f"{source}: {found} zones of {bins} bins, {device.name} has {zones} of {device.time.bins}"
+    if not has_shape_of(frames, device, zones):
+        raise InputError(f"{what}; {_likely_cause(found, bins, device, zones)}")
+    if found == zones:
+        return frames
+    warn(f"{what}; the first is taken as the reference channel and left out", InputWarning, stacklevel=3)
+    return without_reference(frames, zones)
+
+
+def without_reference(frames: Frames, zones: int) -> Frames:
+    """Frames of `zones` zones: the first of one histogram more is moved to `Frames.reference`."""
+    if frames.histograms.shape[1] == zones:
+        return frames
+    return replace(frames, histograms=frames.histograms[:, 1:], reference=frames.histograms[:, 0])
+
+
+def _likely_cause(found: int, bins: int, sensor: Device, zones: int) -> str:
+    """What makes frames of (found, bins) most likely, where a device has `zones` zones, and what to do."""
+    other = [
+        name
+        for name in device_names()
+        if device(name).time.bins == bins and found in (n := device(name).zones.count, n + 1)
+    ]
+    if other:
+        return f"these have the shape of {' and '.join(other)}: name the device that recorded them"
+    if (found, bins) in ((sensor.time.bins, zones), (sensor.time.bins, zones + 1)):
+        return "the last two axes look swapped: hists is (frames, zones, bins)"
+    if found in (zones, zones + 1):
+        return (
+            f"the sensor was set to other bins: give time.bins = {bins} and its bin_width_ps in a device file "
+            f"(`datagen device {sensor.name}` prints one)"
         )
+    if bins == sensor.time.bins:
+        return (
+            "a mode with other zones, or frames in parts that belong together: put them in one histogram a zone, or "
+            "give zones.boxes of that mode in a device file"
+        )
+    return "name the device that recorded them, of the catalogue or as a device file"
 
 
 def device(name: str | Path) -> Device:

@@ -12,8 +12,7 @@ from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
 RAYS_ALONG = 16
-"""Rays along each side of a zone. Halved, the depth of a zone with an object's edge in it errs by up to a 16th of
-the step there instead of a 32nd."""
+"""Rays along each side of a zone: the depth of a zone with an edge in it errs by up to a 32nd of the step there."""
 
 
 def zone_depth(scene: Scene, capture: Capture) -> Floats:
@@ -51,11 +50,11 @@ def zone_depth(scene: Scene, capture: Capture) -> Floats:
 def share_of_late_zones(scene: Scene, capture: Capture) -> float:
     """Share of the zones most of whose first return arrives after the end of the time axis; 0 if none sees anything.
 
-    The way of the light is taken from the laser's position to what the zone sees, and from there to the sensor.
+    The path of the light is taken from the laser's position to what the zone sees, and from there to the sensor.
     """
     points, weights = _sight(scene, capture)
-    way = sum(np.linalg.norm(points - at, axis=2) for at in (capture.laser.position, capture.sensor.position))
-    late = _mean((time_from_path(way) >= capture.time.stop_s).astype(np.float64), weights)
+    path = sum(np.linalg.norm(points - at, axis=2) for at in (capture.laser.position, capture.sensor.position))
+    late = _mean((time_from_path(path) >= capture.time.stop_s).astype(np.float64), weights)
     late = late[np.isfinite(late)]
     return float((late > 0.5).mean()) if len(late) else 0.0
 

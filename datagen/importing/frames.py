@@ -14,7 +14,7 @@ import numpy as np
 
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
-from datagen.devices import Frames, check_recorded_by, device, read_frames
+from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
 from datagen.errors import InputError
 from datagen.records import Sample, Scalar
 from datagen.records.sample import geometry_fields
@@ -65,10 +65,12 @@ def config_of_frames(
     lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
     files, most = [], 0.0
     for path in paths:
-        frames = read_frames(path)
-        check_recorded_by(path, frames, sensor, lasers * pixels)
+        frames = recorded_by(path, read_frames(path), sensor, lasers * pixels)
         if (frames.histograms % 1 != 0).any():
-            raise InputError(f"{path}: holds fractions, which are no counts; round them first")
+            raise InputError(
+                f"{path}: hists holds fractions, which are no counts; multiply hists (and ambient) by what the "
+                "sensor divided by, such as the number of its SPADs in use, and round"
+            )
         most = max(most, float(frames.histograms.max()))
         files.append(ImportedFile(name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames)))
     dtype = dtype_of_counts(most)
@@ -88,14 +90,15 @@ def scene_of_files(files: Sequence[ImportedFile], index: int) -> tuple[int, int]
 
 
 @lru_cache(maxsize=1)
-def _frames(path: Path, sha256: str) -> Frames:
-    return read_frames(path)
+def _frames(path: Path, sha256: str, zones: int) -> Frames:
+    return without_reference(read_frames(path), zones)
 
 
 def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: ImportedFile, frame: int) -> Sample:
     """The sample of one frame: its counts, and where the device stood."""
     began = time.perf_counter()
-    frames, sensor = _frames(path, file.sha256), config.capture.device
+    lasers, pixels, _ = config.histogram_shape
+    frames, sensor = _frames(path, file.sha256, lasers * pixels), config.capture.device
     assert sensor is not None
     counts = frames.histograms[frame].reshape(config.histogram_shape).astype(config.store.histogram_dtype)
     pose = np.eye(4) if frames.poses is None else frames.poses[frame]

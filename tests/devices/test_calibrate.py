@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import datagen as dg
 from datagen.cli import cli
 from datagen.devices import Frames, calibrate
-from datagen.devices.calibrate import saturated, unsaturated
+from datagen.devices.saturation import saturated, unsaturated
 from datagen.errors import InputError
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "tmf8820_plane.json.gz"
@@ -83,6 +83,23 @@ def test_a_simulated_sweep_gives_its_device_back(sweep: Frames) -> None:
     assert np.median(np.abs(found.peak_shift)) < 0.02
 
 
+def test_frames_that_test_do_not_change_the_fit(sweep: Frames) -> None:
+    """Of every quarter in the order of distance the second and fourth are brighter by half: errors tell, and the
+    device is the same to the bit."""
+    assert sweep.distances_m is not None
+    rows = np.random.default_rng(0).permutation(24)
+    other = np.array(sweep.histograms)
+    other[6:12] *= 1.5
+    other[18:] *= 1.5
+    found = [
+        calibrate(replace(sweep, histograms=of).some(rows), dg.device("tmf8820")) for of in (sweep.histograms, other)
+    ]
+    assert found[0].device == found[1].device and found[0].fitted == found[1].fitted
+    for of in found:
+        np.testing.assert_array_equal(of.tested_m, np.append(sweep.distances_m[6:12], sweep.distances_m[18:]))
+    assert np.median(np.abs(found[1].brightness_error)) > 0.3 > 0.01 > np.median(np.abs(found[0].brightness_error))
+
+
 def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
     device = dg.device("tmf8820")
     zones = device.zones.model_copy(update={"boxes": (), "map": "map.npz", "rows": 3, "columns": 3})
@@ -99,7 +116,7 @@ def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
 
 @real
 def test_the_real_sweep_is_fitted_within_what_is_stated(tmp_path: Path) -> None:
-    """Every second distance is kept back, and tested."""
+    """The second and fourth quarter of the distances are held out, and tested."""
     found = calibrate(dg.read_frames(REAL), dg.device("tmf8820"), nearest_m=0.15)
     assert np.median(found.relative_l2) < 0.03
     assert np.median(np.abs(found.brightness_error)) < 0.008

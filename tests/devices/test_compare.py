@@ -84,6 +84,31 @@ def test_a_turned_mount_and_albedos_are_found(session: dg.Frames, tmp_path: Path
     assert max(found.residual_sd) < 5
 
 
+def test_frames_that_test_change_neither_the_fit_nor_the_mode(session: dg.Frames, tmp_path: Path) -> None:
+    """The second and fourth quarter are replaced by other zones' histograms, half as bright: the fit is the same to
+    the bit, and its errors tell of the replacement."""
+    replaced = np.array(session.histograms)
+    replaced[4:8] = replaced[12:] = 0.5 * np.roll(replaced[4:8], 3, axis=1)
+    other, parts = replace(session, histograms=replaced), parts_of(tmp_path)
+    alone = dg.device("tmf8820").model_copy(update={"name": "mine"})
+    before, after = (dg.compare(frames, alone, parts, fit=("hand",)) for frames in (session, other))
+    assert before.held_out and after.fitted == before.fitted
+    assert before.steps["+ hand"][0] < 0.03 and after.steps["+ hand"][0] > 0.5
+    both = [dg.compare(frames, dg.device("tmf8820"), parts, fit=()) for frames in (session, other)]
+    assert [found.simulated_as for found in both] == ["tmf8820"] * 2 and both[0].fitted == both[1].fitted
+
+
+def test_few_frames_are_all_fitted_and_the_table_says_so(session: dg.Frames, tmp_path: Path) -> None:
+    alone = dg.device("tmf8820").model_copy(update={"name": "mine"})
+    said = list[str]()
+    found = dg.compare(session.some(np.arange(6)), alone, parts_of(tmp_path), fit=("hand",), doing=said.append)
+    assert (
+        len(found.measured) == 6 and not found.held_out and "6 frames tested, which were fitted, too" in found.text()
+    )
+    # What is at work is named, so that nobody waits before a silent terminal.
+    assert said[0].startswith("mine: hand fitted to 6 frames, step 1 of") and said[-1].startswith("6 frames are sim")
+
+
 def test_a_mesh_is_divided_where_things_touch(tmp_path: Path) -> None:
     """A pyramid that shares vertices with its table; and a ball, which is one part however coarse."""
     corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-0.1, -0.1, 0), (0.1, -0.1, 0), (0.1, 0.1, 0),
@@ -122,6 +147,7 @@ def test_wrong_captures_are_refused_in_a_line(session: dg.Frames, tmp_path: Path
         (replace(session, histograms=session.histograms[:, :4]), device, "4 zones"),
         (replace(session, poses=away), device, "does the sensor's axis meet"),
         (session, few, "raise cycles"),
+        (replace(session, histograms=session.histograms * (np.arange(9) != 2)[:, None]), device, "16 histograms are"),
     ):
         with pytest.raises(InputError, match=named):
             dg.compare(frames, sensor, parts)
@@ -133,16 +159,21 @@ def test_wrong_captures_are_refused_in_a_line(session: dg.Frames, tmp_path: Path
     assert isinstance(result.exception, InputError) and "REAL SIMULATED" in str(result.exception)
 
 
-def test_the_command_writes_numbers_picture_and_device(session: dg.Frames, tmp_path: Path) -> None:
+def test_the_command_writes_numbers_picture_and_device(
+    session: dg.Frames, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert session.poses is not None
     np.savez(tmp_path / "frames.npz", hists=session.histograms[::2], pose=session.poses[::2])
     parts_of(tmp_path)
     command = ["compare", str(tmp_path / "frames.npz"), "--device", "tmf8820", "--fixed", "--json"]
     command += ["--mesh", str(tmp_path / "table.stl"), "--mesh", str(tmp_path / "thing.stl")]
     command += ["--picture", str(tmp_path / "fit.png"), "--out", str(tmp_path / "mine.yaml")]
+    monkeypatch.setattr("datagen.building.progress.LINE_S", 0.0)
     result = CliRunner().invoke(cli, command)
     assert result.exit_code == 0, result.exception
-    found = json.loads(result.output)
+    found = json.loads(result.stdout)
+    # There is no terminal here; lines go to standard error.
+    assert result.stderr == "8 frames are simulated after a fit of albedos, floor\n"
     assert 0.05 < found["median_relative_l2"] < found["p90_relative_l2"] and found["tested_frames"] == 8
     assert set(found["fitted"]) == {"albedo of table", "albedo of thing", "floor (counts a bin)"}
     assert (tmp_path / "fit.png").stat().st_size > 10_000 and dg.device(tmp_path / "mine.yaml").time.bins == 128
@@ -173,10 +204,8 @@ def test_two_datasets_are_compared(tmp_path: Path) -> None:
 
 @real
 def test_the_real_pyramid_agrees_as_far_as_stated() -> None:
-    """Every fourth frame; from its neighbours the catalogue's zones were fitted."""
-    whole = dg.read_frames(CAPTURES)
-    assert whole.poses is not None
-    frames = replace(whole, histograms=whole.histograms[1::4], poses=whole.poses[1::4], reference=None)
+    """Every fourth frame; from the first and third quarter the catalogue's zones were fitted."""
+    frames = dg.read_frames(CAPTURES).some(np.arange(1, 128, 4))
     found = dg.compare(frames, dg.device("tmf8820"), dg.read_parts([MESH]), fit=("hand",))
     assert found.simulated_as == "tmf8820"
     assert np.median(found.relative_l2) < 0.1 and np.percentile(found.relative_l2, 90) < 0.2

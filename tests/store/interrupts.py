@@ -31,7 +31,10 @@ STATUS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 LATEST_S = 10.0
 """Signals come up to so many seconds after the start: half go to imports and to workers that are starting."""
 PATIENCE_S = 60.0
-ONE_LINE = re.compile(r"datagen: (interrupted|terminated); what is committed stays, run the same command again .*")
+ONE_LINE = re.compile(
+    r"datagen: (interrupted|terminated); (what is committed stays|not finished), run the same command again.*"
+)
+"""A signal may come before the command is known."""
 NAMED = """
 import runpy, sys
 from multiprocessing.process import current_process

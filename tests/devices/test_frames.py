@@ -1,0 +1,111 @@
+"""Frames of a sensor as files hold them: subtracted ambient light, a reference channel, other shapes, what tests."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import datagen as dg
+from datagen.devices import Frames, recorded_by
+from datagen.devices.frames import fitted_and_tested
+from datagen.errors import InputError, InputWarning
+from datagen.records.arrays import Floats
+
+
+@pytest.mark.parametrize("count", [8, 16, 101, 128])
+def test_a_quarter_of_a_path_tests_what_the_quarter_before_it_fits(count: int) -> None:
+    fitted, tested = fitted_and_tested(count)
+    np.testing.assert_array_equal(np.sort(np.append(fitted, tested)), np.arange(count))
+    assert abs(len(fitted) - len(tested)) <= 2
+    # Two runs of neighbours each, and the first frame is fitted.
+    assert [np.sum(np.diff(rows) > 1) for rows in (fitted, tested)] == [1, 1] and fitted[0] == 0
+
+
+def written(folder: Path, form: str, hists: Floats, ambient: Floats | None) -> Path:
+    path = folder / f"frames.{form}"
+    given = {} if ambient is None else {"ambient": ambient}
+    if form == "npz":
+        np.savez(path, hists=hists, **given)
+    else:
+        frames = [{"hists": hist.tolist()} for hist in hists]
+        for frame, told in zip(frames, ambient if ambient is not None else (), strict=False):
+            frame["ambient"] = told.tolist()
+        path.write_text(json.dumps(frames))
+    return path
+
+
+@pytest.mark.parametrize("form", ["npz", "json"])
+def test_ambient_light_that_was_subtracted_is_added_again(form: str, tmp_path: Path) -> None:
+    """A chip counts whole events, subtracts a rounded mean of the ambient light from each bin, and tells the mean."""
+    rng = np.random.default_rng(0)
+    counts, ambient = rng.poisson(30.0, (3, 16, 24)).astype(float), rng.uniform(25, 30, (3, 16))
+    sent = counts - np.rint(ambient)[:, :, None]
+    assert (sent < 0).any()
+    np.testing.assert_array_equal(dg.read_frames(written(tmp_path, form, sent, ambient)).histograms, counts)
+    # Fractions are no whole counts: only the sum is taken.
+    found = dg.read_frames(written(tmp_path, form, (counts - ambient[:, :, None]) / 8, ambient / 8)).histograms
+    np.testing.assert_allclose(found, counts / 8, atol=1e-12)
+
+
+def test_subtracted_ambient_light_becomes_a_dataset_of_whole_counts(tmp_path: Path) -> None:
+    counts = np.random.default_rng(0).poisson(30.0, (2, 16, 24)).astype(float)
+    path = written(tmp_path, "npz", counts - 29, np.full((2, 16), 29.2))
+    dg.import_captures(path, tmp_path / "real", device="vl53l8ch_4x4", progress=False)
+    stored = dg.TransientDataset(tmp_path / "real", ("histogram",), counts="stored")
+    for index, item in enumerate(stored):
+        np.testing.assert_array_equal(item["histogram"][0], counts[index])
+
+
+@pytest.mark.parametrize(
+    ("hists", "ambient", "named"),
+    [
+        (-np.ones((2, 4, 8)), None, "give what it subtracted beside hists: ambient"),
+        (-np.ones((2, 4, 8)), np.zeros((2, 4)), "values down to -1"),
+        (np.ones((2, 4, 8)), np.ones((2, 3)), r"ambient of shape \(2, 3\)"),
+        (np.ones((2, 4, 8)), -np.ones((2, 4)), "one finite number ≥ 0"),
+    ],
+)
+def test_ambient_light_that_cannot_be_is_refused_in_a_line(
+    hists: Floats, ambient: Floats | None, named: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=named):
+        dg.read_frames(written(tmp_path, "npz", hists, ambient))
+
+
+@pytest.mark.parametrize("name", ["tmf8820", "tmf8828", "vl53l8ch"])
+def test_a_leading_reference_channel_is_left_out_with_a_word(name: str, tmp_path: Path) -> None:
+    device = dg.device(name)
+    zones, bins = device.zones.count, device.time.bins
+    sent = np.random.default_rng(0).poisson(9.0, (2, zones + 1, bins)).astype(float)
+    with pytest.warns(InputWarning, match=f"{zones + 1} zones .*the first is taken as the reference channel"):
+        frames = recorded_by("sent", Frames("sent", sent), device, zones)
+    np.testing.assert_array_equal(frames.histograms, sent[:, 1:])
+    assert frames.reference is not None
+    np.testing.assert_array_equal(frames.reference, sent[:, 0])
+    np.save(tmp_path / "sent.npy", sent)
+    with pytest.warns(InputWarning, match="reference channel"):
+        dg.import_captures(tmp_path / "sent.npy", tmp_path / "real", device=name, progress=False)
+    stored = dg.TransientDataset(tmp_path / "real", ("histogram",), counts="stored")[1]["histogram"]
+    np.testing.assert_array_equal(stored[0], sent[1, 1:])
+
+
+@pytest.mark.parametrize(
+    ("shape", "likely"),
+    [
+        ((64, 128), "shape of tmf8828: name the device"),
+        ((65, 128), "shape of tmf8828: name the device"),
+        ((128, 9), "axes look swapped"),
+        ((9, 64), "time.bins = 64"),
+        ((18, 128), "a mode with other zones"),
+        ((5, 7), "name the device that recorded them"),
+    ],
+)
+def test_frames_of_another_shape_are_refused_with_the_likely_cause(shape: tuple[int, int], likely: str) -> None:
+    device = dg.device("tmf8820")
+    frames = replace(Frames("sent", np.ones((1, 9, 128))), histograms=np.ones((1, *shape)))
+    with pytest.raises(InputError, match=f"{shape[0]} zones of {shape[1]} bins, tmf8820 has 9 of 128; .*{likely}"):
+        recorded_by("sent", frames, device, 9)
