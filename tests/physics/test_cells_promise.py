@@ -10,10 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from benchmarks.promise import TARGETS, WHOLE, case_of, checks_of
 from scipy import stats
 
 from datagen import load_config
-from datagen.bench.promise import TARGETS, WHOLE, case_of, checks_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 LEVEL = 1e-3
