@@ -1,7 +1,7 @@
 """The promised error of transients to a target, of the whole and of each object, in ready configurations.
 
-As `datagen bench promise`: a scan is run to its target and compared with independent paths. Each error is within the
-error asked with a probability of 95 %; the numbers of misses, of the whole and of objects, are compared with a
+As `tests/benchmarks/promise.py`: a scan is run to its target, compared with independent paths. Each error is within
+the error asked with a probability of 95 %; the numbers of misses, of the whole and of objects, are compared with a
 binomial distribution at 10⁻³.
 """
 
