@@ -15,8 +15,9 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types hard-cases bench bench-scaling \
-	bench-detector bench-loaders bench-evidence bench-foreign bench-targets peers wheel clean
+.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly hard-cases bench bench-scaling \
+	bench-detector bench-loaders bench-evidence bench-foreign bench-targets bench-promise bench-peers peers \
+	wheel clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -29,7 +30,7 @@ help:
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -evidence, -foreign, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -104,11 +105,9 @@ cpu-types: setup
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py
 
-bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-foreign bench-targets
+bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-foreign bench-targets bench-promise bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
-	$(BIN)/datagen bench peers out/peers
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
-	$(BIN)/datagen bench promise out/promise configs/*.yaml
 
 bench-scaling: setup
 	$(BIN)/python tests/benchmarks/scaling.py
@@ -129,6 +128,12 @@ bench-evidence: setup
 
 bench-targets: setup
 	$(BIN)/python tests/benchmarks/targets.py 100 500 2e6
+
+bench-promise: setup
+	$(BIN)/python tests/benchmarks/promise.py out/promise configs/*.yaml
+
+bench-peers: setup
+	$(BIN)/python tests/benchmarks/peers.py out/peers
 
 peers: setup
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[tests,peers]'

@@ -391,9 +391,7 @@ class _Benches(click.Group):
 
     MODULES: ClassVar[dict[str, str]] = {
         "accuracy": "What accuracy costs in time: error against seconds for everything that can be chosen.",
-        "peers": "Error against processor seconds, beside mitransient and plain quadrature.",
         "stages": "Where a build's time goes, and scenes per second on 1 and 2 workers.",
-        "promise": "Scenes simulated to their targets, compared with the truth, object by object.",
     }
 
     def list_commands(self, ctx: click.Context) -> list[str]:

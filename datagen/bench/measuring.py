@@ -1,21 +1,14 @@
-"""Helpers of all benches: the machine's name, processor seconds, tables in Markdown."""
+"""What all benches share: the machine's name, processor seconds, tables in Markdown."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any, TypeVar
-
-import numpy as np
-from scipy import stats
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 from datagen.store.environment import cores, processor
 
 T = TypeVar("T")
-Key = TypeVar("Key", bound=Hashable)
 
 
 def machine() -> str:
@@ -39,43 +32,3 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1)
 def percent(share: float) -> str:
     """`12 %`, `3.4 %`, `0.56 %`."""
     return f"{100 * share:.0f} %" if share >= 0.0995 else f"{100 * share:.2g} %"
-
-
-def continued(
-    file: Path,
-    kind: type[T],
-    key: Callable[[T], Key],
-    measure: Callable[[list[Key]], list[T]],
-    jobs: Iterable[Sequence[Key]],
-) -> list[T]:
-    """All cases of a benchmark: those in a JSON file, and those that are missing there, which are measured.
-
-    kind : the record of a case. key : identity of a case. jobs : keys that are measured together; `measure` gets
-    those of a job that are missing. Each job's cases are written at once, so that a benchmark can be stopped and
-    continued.
-    """
-    file.parent.mkdir(parents=True, exist_ok=True)
-    stored: list[dict[str, Any]] = json.loads(file.read_text()) if file.exists() else []
-    # Files of older versions have more fields.
-    found = [kind(**{name: one[name] for name in kind.__dataclass_fields__}) for one in stored]  # type: ignore[attr-defined]
-    done = {key(one) for one in found}
-    for keys in jobs:
-        missing = [one for one in keys if one not in done]
-        if missing:
-            found += measure(missing)
-            content: list[dict[str, Any]] = [asdict(one) for one in found]  # type: ignore[call-overload]
-            file.write_text(json.dumps(content, indent=1))
-    return found
-
-
-KEPT = ("within", "exact 95 % interval", "true / asked: median", "95th", "worst")
-"""Headings of the cells of `promises_kept`."""
-
-
-def promises_kept(shares: Sequence[float], within: Sequence[bool]) -> list[str]:
-    """Cells of a table: the share of cases whose error is within the one asked for, with Clopper and Pearson's
-    interval; median, 95th percentile and maximum of the true error over the one asked for."""
-    interval = stats.binomtest(sum(within), len(within)).proportion_ci(0.95, "exact")
-    spread = np.median(shares), np.quantile(shares, 0.95), np.max(shares)
-    kept = f"{sum(within) / len(within):.1%}", f"{interval.low:.1%} … {interval.high:.1%}"
-    return [*kept, *(f"{x:.2f}" for x in spread)]

@@ -1,1 +1,1 @@
-"""Reconstruction of the hidden part from a measurement: backprojection and f-k migration on grids of voxels."""
+"""Reconstruction of the hidden part from a measurement: backprojection on a grid of voxels."""

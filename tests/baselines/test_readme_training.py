@@ -1,4 +1,4 @@
-"""docs/readme_training.py at small size: README's own lines run, the error falls, and the picture is drawn."""
+"""examples/readme_training.py at small size: README's own lines run, the error falls, and the picture is drawn."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from datagen.config import config_from_mapping
 from datagen.config.yaml_text import parse_yaml
 
 ROOT = Path(__file__).parents[2]
-SCRIPT = ROOT / "docs" / "readme_training.py"
+SCRIPT = ROOT / "examples" / "readme_training.py"
 
 
 @pytest.mark.nightly

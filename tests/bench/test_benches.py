@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from datasets import write_dataset
 
-from datagen.bench import peer_cases, peers, stages
+from datagen.bench import stages
 from datagen.bench.accuracy import Row, Truth, advice, fewer_laser_points, noise_and_bias, picture, table, with_front
-from datagen.bench.peers import seconds_at
 from datagen.capture import capture_for
 from datagen.cli import run
 from datagen.config import load_config
@@ -66,15 +64,6 @@ def test_accuracy_draws_what_the_time_left_room_for(count: int, tmp_path: Path) 
     assert picture(rows[:count], "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_promise(tmp_path: Path, config: str, capsys: pytest.CaptureFixture[str]) -> None:
-    held = tmp_path / "held.yaml"
-    held.write_text(CONFIG.replace("{lookins: 256, fov_samples: 1}", "{target: 0.1}"))
-    arguments = ["promise", str(tmp_path), str(held), config, "--scenes", "1", "--points", "4", "--target", "0.1"]
-    rows = rows_of(printed_by(arguments, capsys), "of")
-    assert rows[0][:3] == ["whole", "0.1", "1"], "a configuration of fixed counts promises nothing"
-    assert rows == rows_of(printed_by(arguments, capsys), "of"), "kept, not measured again"
-
-
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Its builds in this process, which workers of their own would take most of the time."""
     monkeypatch.setattr(stages, "build", lambda config, root, workers, progress: write_dataset(config, root))
@@ -88,43 +77,6 @@ def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> No
     assert "2x2x54, tiny" in printed and "mean of 8" in printed
     line = stages.a_million(load_config(config), [1.0, 2.0])
     assert "1.5 processor s" in line and "1.1 days on 16 cores" in line, "10⁶ × 1.5 s / 16 / 86 400 s"
-
-
-def test_peers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(peers, "CASES", {"plate": lambda: peer_cases.bare_plate(2, 200)})
-    monkeypatch.setattr(peer_cases, "missing_for_mitransient", lambda: "not asked for")
-    printed = printed_by(["peers", str(tmp_path), "--repeats", "1"], capsys)
-    errors = [float(row[3].split()[0]) for row in rows_of(printed, "")]
-    assert errors[0] > errors[3] and errors[4] > errors[6] and errors[7] > errors[10]
-    assert (tmp_path / "peers.md").read_text() in printed
-    assert (tmp_path / "peers_plate.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_errors_of_a_case_and_a_peer_s_agreement() -> None:
-    """A total 10 % off, an object 30 % off, late light 20 % off; runs about the truth agree with it within noise."""
-    truth = np.ones((2, 3, 8))
-    result = truth * np.array([1.0, 1.3])[:, None, None]
-    result[0, :, 4:] = 1.2
-    case = peer_cases.Case("", 1, 0.1, (), late=4)
-    assert list(case.errors(result, truth).values()) == pytest.approx([0.1, 0.3, 0.2])
-    rng = np.random.default_rng(1)
-    runs = [truth[0] + 0.1 * rng.standard_normal(truth[0].shape) for _ in range(20)]
-    peer = peer_cases.Contender("", "paths", lambda n, seed: truth, (64,), truth)
-    apart, noise = (float(found) for found in re.findall(r"([\d.]+) %", peers.agreement(peer, runs)))
-    assert 1 < apart < 4 and noise == pytest.approx(10 / math.sqrt(20), rel=0.2)
-
-
-def test_a_contender_that_takes_an_error_is_judged_by_its_run_to_that_error() -> None:
-    runs = [peers.Run(seconds, {"": error}, np.zeros(1)) for seconds, error in ((1.0, 0.01), (3.0, 0.004))]
-    contender = peer_cases.Contender("", "", lambda n, seed: np.zeros(1), (10, 50), np.zeros(1), takes_error=True)
-    assert peers.seconds_to_target(contender, runs, 0.02) == (3.0, True)
-
-
-def test_seconds_to_an_error_follow_the_measured_line() -> None:
-    rows = [(1.0, 0.08), (4.0, 0.04), (16.0, 0.02)]
-    assert seconds_at(rows, 0.1) == (1.0, True)
-    assert seconds_at(rows, 0.04 / math.sqrt(2)) == (pytest.approx(8.0), True)
-    assert seconds_at(rows, 0.01) == (pytest.approx(64.0), False)
 
 
 def test_the_truth_s_own_error_is_subtracted_and_noise_told_from_bias() -> None:
@@ -187,7 +139,6 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
         (["accuracy", "none.yaml", "OUT"], "none.yaml"),
         (["stages", "CONFIG", "--workers", "two"], "--workers two"),
         (["stages", "CONFIG", "--scan", "64x64"], "--scan 64x64"),
-        (["peers", "OUT", "--only", "nothing"], "--only nothing"),
         (["paeers"], "paeers"),
     ],
 )
@@ -210,5 +161,5 @@ def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.Cap
 def test_benches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--help"]) == 0
     listed = capsys.readouterr().out
-    for name in ("accuracy", "stages", "promise", "peers"):
+    for name in ("accuracy", "stages"):
         assert name in listed and run(["bench", name, "--help"]) == 0

@@ -13,11 +13,13 @@ import sys
 from functools import partial
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
 import trimesh
+from benchmarks.other_renderers import grid_points
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
-from datagen.bench.other_renderers import grid_points
 from datagen.config import load_config
 from datagen.pipeline import simulate_sample
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Rectangle, Scene, Sensor, TimeAxis

@@ -16,11 +16,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
+from benchmarks.other_renderers import grid_points
+from benchmarks.problems import DEVICE, WALL, furnished_room
 
 from datagen.bench.measuring import machine, markdown, processor_seconds
-from datagen.bench.other_renderers import grid_points
-from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.records import Accuracy, Capture, Laser, Rectangle, Sensor, TimeAxis
 from datagen.transport import simulate
 from datagen.units import time_from_path

@@ -18,11 +18,15 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from datagen.bench.measuring import KEPT, machine, markdown, processor_seconds, promises_kept
+import numpy as np
+from benchmarks.cases import KEPT, promises_kept
+
+from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.design.scene_for import scene_for

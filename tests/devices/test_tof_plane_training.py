@@ -1,8 +1,7 @@
-"""docs/tof_plane_training.py at small size: planes lean as stated, effects are left out, and a network learns."""
+"""examples/tof_plane_training.py at small size: planes lean as stated, effects are left out, and a network learns."""
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,20 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tof_plane_training
 import torch
 
 import datagen as dg
 
 ROOT = Path(__file__).parents[2]
-SCRIPT = ROOT / "docs" / "tof_plane_training.py"
+SCRIPT = ROOT / "examples" / "tof_plane_training.py"
 REAL = ROOT.parent / "shared" / "real"
 real = pytest.mark.skipif(not (REAL / "tmf8820_plane.json.gz").is_file(), reason="needs a sweep of a real sensor")
-sys.path.insert(0, str(SCRIPT.parent))
-try:
-    # Worker processes import it by its name.
-    made: dict[str, Any] = vars(importlib.import_module("tof_plane_training"))
-finally:
-    sys.path.remove(str(SCRIPT.parent))
+made: dict[str, Any] = vars(tof_plane_training)
 DEVICE = dg.device("tmf8820")
 RIGHT, LEFT = 7, 1
 """Zones in the middle of the right and of the left column of the sensor's histograms."""

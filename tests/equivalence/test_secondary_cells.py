@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.foreign_scenes import foreign_scene
 from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, square_pixels
 from scipy import stats
 from sphere_chords import unit_ball
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
-from datagen.bench.foreign_scenes import foreign_scene
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering

@@ -1,4 +1,4 @@
-"""The comparison of docs/evidence_training.py: small, and on labels of which it is known what they rest on."""
+"""The comparison of examples/evidence_training.py: small, and on labels of which it is known what they rest on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-SCRIPT = Path(__file__).parents[2] / "docs" / "evidence_training.py"
+SCRIPT = Path(__file__).parents[2] / "examples" / "evidence_training.py"
 made: dict[str, Any] = runpy.run_path(str(SCRIPT))
 PLAIN, WEIGHTED, OVER = made["RECIPES"]
 

@@ -16,11 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from rooms import bins_of_path, furnished_box, rectangle
-from scipy import stats
-
-from datagen.bench.other_renderers import (
+from benchmarks.other_renderers import (
     MitransientPeer,
     grid_points,
     missing_for_mitransient,
@@ -28,6 +24,10 @@ from datagen.bench.other_renderers import (
     plate_quadrature,
     point_capture,
 )
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, rectangle
+from scipy import stats
+
 from datagen.records import Accuracy, Capture, Lambertian, Part, Rectangle, Scene
 from datagen.transport import simulate
 

@@ -67,8 +67,8 @@ def met(runs: list[Transient]) -> Transient:
     ids=["daily", "more"],
 )
 def test_random_scenes_are_within_their_targets_at_a_fair_cost(scenes: tuple[int, ...]) -> None:
-    """Some cheap cases of `datagen bench`: errors are within their targets as often as promised, and none is more
-    than twice its target. The cost is fair at 5 %; looser targets cost as much as the coarsest elements."""
+    """Some cheap cases of `tests/benchmarks/targets.py`: errors are within their targets as often as promised, none
+    is more than twice its target. The cost is fair at 5 %; looser targets cost as much as the coarsest elements."""
     found = list(outcomes(scenes, targets=(0.1, 0.05), cost=8e6))
     assert len(found) >= 4
     assert sum(not one.within for one in found) <= beyond_at_most(len(found))

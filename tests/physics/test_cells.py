@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.other_renderers import grid_points, point_capture
+from benchmarks.peer_cases import path_axis
+from benchmarks.problems import DEVICE, WALL, furnished_room
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
 
 from datagen import Accuracy, Capture, Lambertian, Part, Scene, simulate
-from datagen.bench.other_renderers import grid_points, point_capture
-from datagen.bench.peer_cases import path_axis
-from datagen.bench.problems import DEVICE, WALL, furnished_room
 from datagen.errors import InputWarning
 from datagen.records import Transient
 

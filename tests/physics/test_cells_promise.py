@@ -1,7 +1,7 @@
 """The promised error of transients to a target, of the whole and of each object, in ready configurations.
 
-As `datagen bench promise`: a scan is run to its target and compared with independent paths. Each error is within the
-error asked with a probability of 95 %; the numbers of misses, of the whole and of objects, are compared with a
+As `tests/benchmarks/promise.py`: a scan is run to its target, compared with independent paths. Each error is within
+the error asked with a probability of 95 %; the numbers of misses, of the whole and of objects, are compared with a
 binomial distribution at 10⁻³.
 """
 
@@ -10,10 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from benchmarks.promise import TARGETS, WHOLE, case_of, checks_of
 from scipy import stats
 
 from datagen import load_config
-from datagen.bench.promise import TARGETS, WHOLE, case_of, checks_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 LEVEL = 1e-3

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.foreign_scenes import foreign_scene
 from rooms import bins_of_path, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
-from datagen.bench.foreign_scenes import foreign_scene
 from datagen.transport.reference import reference
 from datagen.transport.sampled_paths import sample_paths
 

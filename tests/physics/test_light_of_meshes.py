@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.other_renderers import grid_points, point_capture
+from benchmarks.peer_cases import path_axis
+from benchmarks.problems import DEVICE, WALL, furnished_room, lump
 
 from datagen import Accuracy, Capture, Lambertian, Part, simulate
-from datagen.bench.other_renderers import grid_points, point_capture
-from datagen.bench.peer_cases import path_axis
-from datagen.bench.problems import DEVICE, WALL, furnished_room, lump
 from datagen.records import Transient
 
 AT = np.array([1.6, -0.2, 1.7])

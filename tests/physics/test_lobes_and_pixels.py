@@ -3,10 +3,10 @@ cut must follow the light that there is."""
 
 import numpy as np
 import pytest
+from benchmarks.foreign_scenes import ForeignScene, foreign_scene
+from benchmarks.promise import WHOLE, Truth, lights, off_square
 
 from datagen import Accuracy, simulate
-from datagen.bench.foreign_scenes import ForeignScene, foreign_scene
-from datagen.bench.promise import WHOLE, Truth, lights, off_square
 from datagen.design.light import Light
 from datagen.records.arrays import Floats
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.foreign_scenes import foreign_scene
+from benchmarks.promise import WHOLE, Truth, lights, off_square
 
 from datagen import Accuracy, simulate
-from datagen.bench.foreign_scenes import foreign_scene
-from datagen.bench.promise import WHOLE, Truth, lights, off_square
 from datagen.design.light import Light
 from datagen.transport.reference import pairs_of
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fk import depth_of_brightest, migrated
 
 from datagen.config import load_config
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
-from datagen.reconstruction.fk import depth_of_brightest, migrated
 from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C

@@ -1,26 +1,21 @@
-"""docs/nlos_real_training.py at small size: scans of known plates, a letter found by its light, and a network."""
+"""examples/nlos_real_training.py at small size: scans of known plates, a letter found by its light, and a network."""
 
 from __future__ import annotations
 
-import importlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import nlos_real_training
 import numpy as np
 import pytest
 import torch
 
 ROOT = Path(__file__).parents[2]
-SCRIPT = ROOT / "docs" / "nlos_real_training.py"
+SCRIPT = ROOT / "examples" / "nlos_real_training.py"
 REAL = ROOT.parent / "shared" / "real"
-sys.path.insert(0, str(SCRIPT.parent))
-try:
-    # Worker processes import it by its name.
-    made: dict[str, Any] = vars(importlib.import_module("nlos_real_training"))
-finally:
-    sys.path.remove(str(SCRIPT.parent))
+made: dict[str, Any] = vars(nlos_real_training)
 real = pytest.mark.skipif(
     not all((REAL / made[name]).is_file() for name in ("IRF", "LETTER", "CHART")), reason="needs two real scans"
 )

@@ -1,4 +1,7 @@
-"""`datagen bench promise`: scenes simulated to their targets, and compared with the definition of the transient.
+"""Scenes simulated to their targets, and compared with the definition of the transient.
+
+    python tests/benchmarks/promise.py OUT configs/*.yaml
+    python tests/benchmarks/promise.py OUT --foreign 200
 
 The scenes are those of configurations, each at some random laser points (pixels, where one laser point has many), as
 in a build; or, with `--foreign`, scenes that no configuration would draw (`foreign_scenes.py`). The error of the
@@ -17,23 +20,28 @@ with its inverse, which estimates the error over all of them.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import click
 import numpy as np
+from benchmarks.cases import KEPT, continued, promises_kept
+from benchmarks.foreign_scenes import foreign_scene
 from scipy import stats
 
-from datagen.bench.foreign_scenes import foreign_scene
-from datagen.bench.measuring import KEPT, continued, machine, markdown, processor_seconds, promises_kept
+from datagen.bench.measuring import machine, markdown, processor_seconds
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, load_config
 from datagen.design.light import Light, light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import detector_for
 from datagen.errors import InputError
+from datagen.exit_status import exit_with, guarded
 from datagen.records import Accuracy, Capture, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.error_control.refinement import by_light
@@ -353,7 +361,7 @@ def main(
     if foreign is not None and (foreign < 1 or configs):
         raise InputError(f"--foreign {foreign}: must be ≥ 1, and stand without configurations")
     if foreign is None and (meshes is not None or not configs):
-        raise InputError("datagen bench promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
+        raise InputError("promise: name configurations, or --foreign N, if wanted with --meshes FOLDER")
     name = "promise" if foreign is None else "foreign"
     of_meshes = f" --meshes …/{meshes.name}" if meshes else ""
     ready = {path: config for path in configs if (config := load_config(path)).transport.target is not None}
@@ -374,7 +382,7 @@ def main(
         [[(options, target) for target in targets] for options in cases],
     )
     if not found:
-        raise InputError("datagen bench promise: none of the configurations has a target; name others")
+        raise InputError("promise: none of the configurations has a target; name others")
     count = len({one.options for one in found})
     of = "foreign scenes"
     if foreign is None:
@@ -386,3 +394,7 @@ def main(
     for one in sorted(found, key=lambda one: one.error / one.asked, reverse=True):
         if not one.dark and ((one.promised and one.decided and not one.within) or one.overclaimed):
             click.echo(line_of(one))
+
+
+if __name__ == "__main__":
+    exit_with(lambda: guarded(main))

@@ -1,6 +1,6 @@
 """Depth and silhouette of what hides behind a corner: a network trained on simulated scans, run on real ones.
 
-    python docs/nlos_real_training.py FOLDER docs/nlos_real_training.png
+    python examples/nlos_real_training.py FOLDER docs/nlos_real_training.png
 
 FOLDER holds irf_lab_8ps.npy, the response of a laboratory's detector (confocal-diffuse-tomography, MIT), and
 data_diffuse_s.mat and data_resolution_chart_40cm.mat (O'Toole, Lindell and Wetzstein, Nature 555, 338 (2018)).
@@ -23,6 +23,7 @@ import scipy.optimize
 import torch
 import trimesh
 from evidence_training import Array, framed
+from fk import migrated
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_laplace, map_coordinates
 from tof_plane_training import several
@@ -32,7 +33,6 @@ import datagen as dg
 from datagen.config.imported import ImportOptions
 from datagen.importing.mat import read_mat
 from datagen.reconstruction.backprojection import Scan, backprojected, whitened
-from datagen.reconstruction.fk import migrated
 from datagen.report.style import captioned, house_style, save_png
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from benchmarks import promise
+from benchmarks.foreign_scenes import foreign_scene, mesh_files
+from benchmarks.promise import WHOLE, case_of, checks_of, foreign_case, line_of, off_square
 
-from datagen.bench import promise
-from datagen.bench.foreign_scenes import foreign_scene, mesh_files
-from datagen.bench.promise import WHOLE, case_of, checks_of, foreign_case, line_of, off_square
-from datagen.cli import run as run_command
 from datagen.config import load_config
 from datagen.errors import InputError
+from datagen.exit_status import guarded
 from datagen.records import Capture, Scene, Transient
 
 ROOT = Path(__file__).parents[2]
@@ -124,20 +124,30 @@ def test_few_points_of_a_configuration_stand_for_all(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.usefixtures("few_samples")
 def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["bench", "promise", str(tmp_path), "--foreign", "1", "--first", str(SIMPLE), "--target", "0.1"]
+    arguments = [str(tmp_path), "--foreign", "1", "--first", str(SIMPLE), "--target", "0.1"]
     printed = []
     for _ in range(2):
-        assert run_command(arguments) == 0
+        assert guarded(promise.main, arguments) == 0
         printed.append(capsys.readouterr().out)
     assert printed[0] == printed[1] and "1 foreign scenes" in printed[0], "kept, not measured again"
     assert (tmp_path / "foreign.md").read_text().startswith("1 foreign scenes")
     arguments[arguments.index("1")] = "2"
-    assert run_command(arguments) == 0 and "2 foreign scenes" in capsys.readouterr().out
+    assert guarded(promise.main, arguments) == 0 and "2 foreign scenes" in capsys.readouterr().out
+
+
+def test_configurations_without_a_target_promise_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scan = "capture: {pairing: confocal, scan: {rows: 3, columns: 3}, time: {bins: 108, bin_width_ps: 800}}"
+    (tmp_path / "fixed.yaml").write_text(f"{scan}\ntransport: {{lookins: 256, fov_samples: 1}}")
+    (tmp_path / "held.yaml").write_text(f"{scan}\ntransport: {{target: 0.1}}")
+    configs = [str(tmp_path / f"{name}.yaml") for name in ("held", "fixed")]
+    assert guarded(promise.main, [str(tmp_path), *configs, "--scenes", "1", "--points", "4", "--target", "0.1"]) == 0
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| whole ")]
+    assert rows[0][1:3] == ["0.1", "1"]
 
 
 @pytest.mark.parametrize("wrong", [["--foreign", "0"], ["--foreign", "1", "a.yaml"], ["--meshes", "x"], []])
 def test_bad_calls(wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(["bench", "promise", str(tmp_path), *wrong]) == 2
+    assert guarded(promise.main, [str(tmp_path), *wrong]) == 2
     assert "--foreign" in capsys.readouterr().err
 
 

@@ -1,6 +1,6 @@
 """Does it matter to train with weights by evidence? A small network learns depth, with and without them.
 
-    python docs/evidence_training.py docs/evidence_training.png
+    python examples/evidence_training.py docs/evidence_training.png
 
 builds 2 100 scenes of a box before a wall, whose albedo is drawn over three and a half decades, so that a third of
 the boxes have no evidence to speak of; trains a network with one hidden layer of 64 on 60 % of them; keeps of each

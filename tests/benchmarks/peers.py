@@ -1,5 +1,7 @@
 """Error against processor seconds, ours beside what a user would otherwise pick.
 
+    python tests/benchmarks/peers.py OUT
+
 - *Bare plate*: 0.5 m, nothing in the way, 16 × 16 confocal points, 300 bins of 3 mm, three bounces; relative L1 error
   against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
   knows that there is nothing else in the scene.
@@ -19,19 +21,23 @@ import itertools
 import math
 import re
 import statistics
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import click
 import numpy as np
+from benchmarks.other_renderers import missing_for_mitransient
+from benchmarks.peer_cases import CASES, DEAR, PEER, Case, Contender
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
-from datagen.bench.other_renderers import missing_for_mitransient
-from datagen.bench.peer_cases import CASES, DEAR, PEER, Case, Contender
 from datagen.errors import InputError
+from datagen.exit_status import exit_with, guarded
 from datagen.records.arrays import Floats
 from datagen.report.style import INK, house_style, new_figure, save_png
 from datagen.store.files import check_writable
@@ -197,3 +203,7 @@ def main(out: Path, repeats: int, only: str, dear: bool) -> None:
         picture(case.title, case.norm, case.target, lines_of(case, turns), file)
     (out / "peers.md").write_text("\n".join(pages), encoding="utf-8")
     click.echo(f"{out / 'peers.md'}, a picture of each case beside it")
+
+
+if __name__ == "__main__":
+    exit_with(lambda: guarded(main))

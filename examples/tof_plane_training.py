@@ -1,6 +1,6 @@
 """Distance and tilt of a plane from nine histograms of a TMF8820: trained on simulated frames, tested on real ones.
 
-    python docs/tof_plane_training.py FOLDER docs/tof_plane_training.png
+    python examples/tof_plane_training.py FOLDER docs/tof_plane_training.png
 
 FOLDER holds tmf8820_plane.json.gz, a sweep of a real sensor before a plane that it faces
 (cpsiff/SPAD-ICCP-Summer-School, part_2_active_SPADs/data/distance_data.json, MIT). The first and third quarter of the

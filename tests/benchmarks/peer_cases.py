@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks import other_renderers as others
+from benchmarks.other_renderers import MitransientPeer, grid_points, missing_for_mitransient
+from benchmarks.problems import DEVICE, WALL, furnished_room, lump, rectangle
 
-from datagen.bench import other_renderers as others
 from datagen.bench.measuring import percent
-from datagen.bench.other_renderers import MitransientPeer, grid_points, missing_for_mitransient
-from datagen.bench.problems import DEVICE, WALL, furnished_room, lump, rectangle
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
 from datagen.records.arrays import Floats, l2_norm
 from datagen.transport import simulate

@@ -1,6 +1,6 @@
 """README's training example, run as printed there with more scenes and epochs: does it learn?
 
-    python docs/readme_training.py docs/readme_training.png
+    python examples/readme_training.py docs/readme_training.png
 
 builds 2048 scenes of configs/quickstart.yaml, runs the lines of README on them for 8 epochs, prints the error of
 depth on the scenes kept back after each, and draws it with predictions beside truth. `--dataset FOLDER` keeps the
