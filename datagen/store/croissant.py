@@ -15,7 +15,7 @@ from datagen.store.location import Location
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import Field
-from datagen.store.table import COLUMNS, TABLE
+from datagen.store.table import COLUMNS, TABLE, parquet_schema
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
 """The licence of a dataset whose configuration names none: all rights are reserved."""
@@ -109,10 +109,8 @@ def _shards(field: Field) -> dict[str, Any]:
 
 
 def _scenes(root: Location) -> dict[str, Any]:
-    import pyarrow.parquet as pq
-
     with (root / TABLE).open("rb") as file:
-        described = pq.read_schema(file)
+        described = parquet_schema(file)
     columns = [
         {
             "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,
