@@ -6,6 +6,8 @@ The card also has the SHA-256 of `samples.parquet`.
 from __future__ import annotations
 
 import datetime
+import re
+import unicodedata
 from collections.abc import Sequence
 from typing import Any
 
@@ -76,7 +78,8 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         f"datagen {manifest.versions['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
     )
     cite = (
-        f"@misc{{{name}, title = {{{name}: {what.lower()} non-line-of-sight single-photon measurements}}, "
+        f"@misc{{{_bibtex_key(name)}, title = {{{_bibtex_text(name)}: {what.lower()} non-line-of-sight single-photon "
+        f"measurements}}, "
         f"year = {{{made.year}}}, note = {{{made_by}}}}}"
     )
     return {
@@ -84,12 +87,25 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         "name": name,
         "description": config["description"] or f"{what} non-line-of-sight single-photon measurements.",
         "version": f"{manifest.schema_version}.{manifest.schema.scenes}.0",
+        # A configuration has an address or a name of the SPDX list.
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
         **(_IMPORTED if manifest.imported else _RESPONSIBLE),
         "distribution": [_table_file(root), *map(_shards, fields)],
         "recordSet": [_scenes(root), _arrays(manifest)],
     }  # fmt: skip
+
+
+def _bibtex_key(name: str) -> str:
+    """The name of a dataset as a key that BibTeX takes: letters and digits of ASCII, and some signs between them."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9._:-]+", "-", plain).strip("-.:_") or "dataset"
+
+
+def _bibtex_text(text: str) -> str:
+    """Text as BibTeX and LaTeX print it. Braces and backslashes are left out: BibTeX counts braces, escaped or
+    not."""
+    return re.sub(r"([&%$#_])", r"\\\1", re.sub(r"[{}\\~^]", "", text))
 
 
 def _table_file(root: Location) -> dict[str, Any]:
