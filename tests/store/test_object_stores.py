@@ -25,7 +25,7 @@ from fake_samples import build_fakes, small_config
 from datagen.building.build import BuildResult
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
-from datagen.export import export
+from datagen.formats import export
 from datagen.loader import TransientDataset
 from datagen.store import verify
 from datagen.store.info import info

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from datagen.config.imported import ImportOptions
 from datagen.config.yaml_text import parse_yaml
 from datagen.errors import InputError, TooLargeError
-from datagen.export.tal import HFormat
-from datagen.importing.containers import Content, hdf5_content
-from datagen.importing.recording import UNKNOWN, Recording, time_bins
+from datagen.formats.containers import Content, hdf5_content
+from datagen.formats.recording import UNKNOWN, Recording, time_bins
+from datagen.formats.tal import HFormat
 from datagen.records.arrays import Floats
 from datagen.units import time_from_path
 

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.export.measurement import lattice, measurement
+from datagen.formats.measurement import lattice, measurement
 from datagen.records.arrays import Floats
 from datagen.store.card import CARD
 from datagen.store.files import write_if_changed

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, TooLargeError, printable
-from datagen.export.plain import h5py
-from datagen.importing.matlab5 import read_matlab5
+from datagen.formats.matlab5 import read_matlab5
+from datagen.formats.plain import h5py
 from datagen.records.arrays import Floats
 from datagen.untrusted import one_line
 
