@@ -40,8 +40,8 @@ from .evidence import Evidence as Evidence
 from .evidence import Presence as Presence
 from .evidence import own_evidence as own_evidence
 from .evidence import presence_evidence as presence_evidence
-from .export.glb import write_glb as write_glb
-from .importing import import_captures as import_captures
+from .formats import import_captures as import_captures
+from .formats.glb import write_glb as write_glb
 from .loader import EpochSampler as EpochSampler
 from .loader import TransientDataset as TransientDataset
 from .loader import collate as collate

@@ -355,7 +355,7 @@ def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
 def export(dataset: str, out: str, form: str, scenes: str | None, field: str | None) -> None:
     """Write scenes of DATASET into the folder OUT as files that other programs read."""
     if_ended("files that are finished stay, the same command writes all of them again")
-    from datagen.export import export as write
+    from datagen.formats import export as write
 
     for path in write(dataset, out, form, scenes, field):
         click.echo(path)
@@ -380,7 +380,7 @@ def import_files(files: tuple[str, ...], out: str, form: str | None, quiet: bool
     """Make a dataset OUT of captures of other programs or of a laboratory, a scene for each of FILES, or
     for each frame in files of a sensor of zones."""
     if_ended(GOES_ON)
-    from datagen.importing import import_captures
+    from datagen.formats import import_captures
 
     result = import_captures(files, out, format=form, progress=not quiet, **options)
     click.echo(result.summary())

@@ -10,6 +10,10 @@ class InputError(ValueError):
     """
 
 
+class TooLargeError(InputError):
+    """A file that would take more memory than its kind ever needs, most likely made to do so."""
+
+
 class InputWarning(UserWarning):
     """Input that is legal and most likely not meant: an aperture of 20 m, bins of 100 s, a scene in millimetres."""
 

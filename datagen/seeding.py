@@ -20,7 +20,6 @@ class Purpose(IntEnum):
     TRANSPORT = 3
     DETECTOR = 4
     DETECTOR_PARAMETERS = 5
-    LABELS = 6
     LOADER = 7
     EFFECTS = 8
     BACKGROUND = 9
@@ -50,8 +49,6 @@ class LightStream(IntEnum):
     FACTORISED_WALKS = 36
     TARGET_HALVES = 48
     CLUSTERS = 64
-    # The value of `CLUSTERS`, which adds two further numbers to the hash.
-    SURROUNDINGS = 64
     PATCHES = 65
     PAIR_CLUSTERS = 66
     SAMPLED_PATHS = 96

@@ -46,7 +46,7 @@ FIRST = (
     "report/test_show_pictures.py",
     "store/test_build.py",
     "scene/test_rooms.py",
-    "export/test_imports.py",
+    "formats/test_imports.py",
     "store/test_kills.py",
     "equivalence/test_cells_and_walk.py",
     "equivalence/test_secondary_cells.py",

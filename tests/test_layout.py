@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 TOP = {
     "__init__", "__main__", "_version", "cli", "exit_status", "pipeline", "seeding", "units", "errors", "compiled",
-    "locks",
+    "locks", "untrusted",
 }  # fmt: skip
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import pydantic
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from datagen.config.base import Settings, raise_input_error
 from datagen.config.capture import CaptureConfig, TimeConfig
@@ -39,7 +41,8 @@ class DatasetConfig(Settings):
     description: str = ""
     """What the dataset is for; stands on its card."""
     license: Annotated[str, Field(max_length=200)] = ""
-    """What others may do with the dataset: an SPDX name such as CC-BY-4.0, or an address; stands on its cards."""
+    """What others may do with the dataset: a name of the SPDX list such as CC-BY-4.0, or an address; stands on its
+    cards."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     """The dataset seed: together with a scene's index it fixes everything about that scene."""
     scenes: Annotated[int, Field(ge=1, le=MOST_SCENES)] = 32
@@ -52,6 +55,23 @@ class DatasetConfig(Settings):
     labels: LabelsConfig = LabelsConfig()
     store: StoreConfig = StoreConfig()
     splits: SplitsConfig = SplitsConfig()
+
+    @field_validator("license")
+    @classmethod
+    def _known_license(cls, text: str) -> str:
+        """The name as the SPDX list writes it, or an address as it is."""
+        if not text or re.fullmatch(r"https?://[^\s/]+\.[^\s]+", text):
+            return text
+        from packaging.licenses import InvalidLicenseExpression, canonicalize_license_expression
+
+        with contextlib.suppress(InvalidLicenseExpression):
+            name = canonicalize_license_expression(text)
+            # Terms of one's own and combinations have no page in the list.
+            if re.fullmatch(r"[A-Za-z0-9.-]+", name) and not name.startswith("LicenseRef-"):
+                return name
+        raise ValueError(
+            "must be a name of the SPDX list (https://spdx.org/licenses) such as CC-BY-4.0, or an address (https://…)"
+        )
 
     @model_validator(mode="after")
     def _with_device(self) -> Self:

@@ -8,7 +8,6 @@ device has its source in `sources`; a source that begins with `estimate` is one,
 from __future__ import annotations
 
 import json
-import zipfile
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
@@ -22,6 +21,7 @@ from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
 from datagen.records.arrays import Floats
+from datagen.untrusted import one_line, read_npz
 from scene_library.rounding import cos, length, product, sin
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
@@ -396,11 +396,9 @@ def _box_of(extent: Floats) -> Box:
 
 def _read_map(path: Path, zones: int) -> tuple[Floats, Floats]:
     """Extent (4,) and weights (zones, rows, columns) of a measured map; raises `InputError` where it is none."""
-    try:
-        with path.open("rb") as opened, np.load(opened) as file:
-            extent, weights = np.asarray(file["extent"], float), np.asarray(file["weights"], float)
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(f"zones.map: {path}: {error}; an .npz with extent and weights is needed") from None
+    with one_line(f"zones.map: {path}: cannot be read", "an .npz with extent and weights is needed"):
+        arrays, _ = read_npz(path, ("extent", "weights"))
+        extent, weights = np.asarray(arrays["extent"], float), np.asarray(arrays["weights"], float)
     good = extent.shape == (4,) and extent[0] < extent[1] and extent[2] < extent[3] and weights.ndim == 3
     if not good or (zones > 1 and len(weights) != zones) or not (np.isfinite(weights) & (weights >= 0)).all():
         raise InputError(

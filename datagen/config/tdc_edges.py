@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import gzip
-import zipfile
-import zlib
+import io
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,14 +11,17 @@ import numpy as np
 from pydantic import BeforeValidator, ValidationInfo
 
 from datagen.config.scene_contents import resolved
-from datagen.errors import InputError
+from datagen.errors import InputError, TooLargeError
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_tdc_edges
+from datagen.untrusted import one_line, read_npz, read_text
 
 SUFFIXES = (".csv", ".csv.gz", ".npz")
 DECIMALS = 3
 """Of a picosecond, to which edges from a file are rounded. With half as many edges are known to 50 fs; with all that
 a file may have, a stored configuration is two and a half times as long."""
+MOST_EDGES = 2**20
+"""Largest number of edges of a file, which a configuration stores as text: 8192 pixels with 128 bins each."""
 
 Edges = tuple[tuple[float, ...], ...]
 
@@ -39,25 +40,31 @@ def read_tdc_edges(path: Path) -> Edges:
         raise InputError(f"{path}: no such file; paths start at the configuration's folder")
     if not path.name.endswith(SUFFIXES):
         raise InputError(f"{path}: its suffix says no table of edges; they are {', '.join(SUFFIXES)}")
-    try:
+    with one_line(f"{path}: holds no edges of a TDC"):
         given = _npz(path) if path.suffix == ".npz" else _csv(path)
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: holds no edges of a TDC ({error})") from None
     edges = np.round(as_tdc_edges(str(path), given), DECIMALS)
     return tuple(tuple(row) for row in edges.tolist())
 
 
 def _npz(path: Path) -> Floats:
-    with path.open("rb") as opened, np.load(opened) as file:
-        return np.asarray(file["edges_ps"], np.float64)
+    edges = read_npz(path, ["edges_ps"])[0]["edges_ps"]
+    _check_number(path, edges.size)
+    return np.asarray(edges, np.float64)
 
 
 def _csv(path: Path) -> list[list[float]]:
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
-        rows = [row for row in csv.reader(file) if row]
+    text = read_text(path)
+    # Counted before the text is divided: each number takes twenty times its characters then.
+    _check_number(path, text.count(b",") + text.count(b"\n"))
+    rows = [row for row in csv.reader(io.StringIO(text.decode(), newline="")) if row]
     if rows and not rows[0][0].strip():
         return [[0.0, *map(float, row[1:])] for row in rows[1:] if any(row[1:])]
     return [list(map(float, row)) for row in rows]
+
+
+def _check_number(path: Path, number: int) -> None:
+    if number > MOST_EDGES:
+        raise TooLargeError(f"{path}: {number} values; at most {MOST_EDGES} edges are read; keep the pixels needed")
 
 
 def _measured(value: Any, info: ValidationInfo) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from datagen.errors import InputError
+from datagen.errors import InputError, TooLargeError
 
 MOST_CHARACTERS = 2**18
 MOST_NODES = 100_000
@@ -76,7 +76,9 @@ def _count(node: Any, source: str) -> None:
         return sizes[id(node)]
 
     if node is not None and size(node) >= MOST_NODES:
-        raise InputError(f"{source}: aliases make it hold {MOST_NODES} values or more; write out what they stand for")
+        raise TooLargeError(
+            f"{source}: aliases make it hold {MOST_NODES} values or more; write out what they stand for"
+        )
 
 
 def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
@@ -97,7 +99,7 @@ def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
 def parse_yaml(text: str, source: str) -> dict[str, Any]:
     """The mapping that `text` holds; raises `InputError` naming `source`, line and column for anything else."""
     if len(text) > MOST_CHARACTERS:
-        raise InputError(f"{source}: more than {MOST_CHARACTERS} characters; shorten it")
+        raise TooLargeError(f"{source}: more than {MOST_CHARACTERS} characters; shorten it")
     try:
         loader = _Loader(text)
         try:
@@ -111,7 +113,7 @@ def parse_yaml(text: str, source: str) -> dict[str, Any]:
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
         raise InputError(f"{source}: {where}broken YAML: {error.problem}") from None
     except RecursionError:
-        raise InputError(f"{source}: nested too deeply") from None
+        raise TooLargeError(f"{source}: nested too deeply") from None
     except InputError:
         raise
     except (yaml.YAMLError, ValueError) as error:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import json
-import zipfile
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +10,9 @@ import numpy as np
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
+from datagen.untrusted import one_line, read_json, read_npy, read_npz
 
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
-MOST_BYTES = 2**31
-"""Largest file that is read, 2 GiB: some 10⁵ frames of 9 zones as JSON."""
-DAMAGED = (
-    OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What readers raise for a file that is damaged or of another kind."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +69,10 @@ def read_frames(path: str | Path) -> Frames:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; name frames of a sensor ({', '.join(SUFFIXES)})")
-    if path.stat().st_size > MOST_BYTES:
-        raise InputError(f"{path}: {path.stat().st_size} bytes, at most {MOST_BYTES} are read; cut it into parts")
     if not path.name.endswith(SUFFIXES):
         raise InputError(f"{path}: its suffix says no format of frames; they are {', '.join(SUFFIXES)}")
-    try:
+    with one_line(f"{path}: holds no frames of a sensor"):
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
-    except DAMAGED as error:
-        raise InputError(f"{path}: holds no frames of a sensor ({error})") from None
     ambient = found.pop("ambient", None)
     frames = Frames(path.name, **found)
     counts = frames.histograms
@@ -126,8 +113,7 @@ def _with_ambient(path: Path, counts: Floats, ambient: Floats) -> Floats:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    content = path.read_bytes()
-    listed = json.loads(gzip.decompress(content) if path.suffix == ".gz" else content)
+    listed = read_json(path)
     if not isinstance(listed, list) or not listed:
         raise ValueError("a list of frames is needed")
 
@@ -147,10 +133,8 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _numpy(path: Path) -> dict[str, Any]:
     names = {"poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist", "ambient": "ambient"}
-    # A file that numpy opens itself stays open where it turns out to be damaged.
-    with path.open("rb") as file:
-        loaded = np.load(file)
-        if isinstance(loaded, np.ndarray):
-            return {"histograms": loaded.astype(np.float64)}
-        optional = {name: np.asarray(loaded[key], np.float64) for name, key in names.items() if key in loaded}
-        return {"histograms": np.asarray(loaded["hists"], np.float64), **optional}
+    if path.suffix == ".npy":
+        return {"histograms": read_npy(path).astype(np.float64)}
+    loaded, _ = read_npz(path, ("hists", *names.values()))
+    optional = {name: np.asarray(loaded[key], np.float64) for name, key in names.items() if key in loaded}
+    return {"histograms": np.asarray(loaded["hists"], np.float64), **optional}

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import zipfile
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from datagen.config.base import near_hint
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats
 from datagen.scoring.truth import Truth
+from datagen.untrusted import MOST_PACKED, one_line, read_npz
 
 QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
 _REMEDY = "docs/datasets.md shows how to write predictions"
@@ -51,7 +51,7 @@ def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Pr
     Raises `InputError` for a missing file, another format, scenes that are missing or there twice, an unknown
     quantity or none, a wrong shape, and values that are no numbers, not finite, or out of range.
     """
-    arrays = dict(source) if isinstance(source, Mapping) else _loaded(source)
+    arrays = dict(source) if isinstance(source, Mapping) else _loaded(Path(source), truth)
     where = "predictions" if isinstance(source, Mapping) else str(source)
     if "scene" not in arrays:
         raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
@@ -73,21 +73,31 @@ def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Pr
     return Predictions(**made)
 
 
-def _loaded(path: str | Path) -> dict[str, NDArray[Any]]:
-    path = Path(path)
+def _loaded(path: Path, truth: Truth) -> dict[str, NDArray[Any]]:
+    """Name → array of a file or group of predictions. An array of an unknown name is empty and was not read."""
     if not path.exists():
         raise InputError(f"{path}: no such file; name an .npz file or a Zarr group of predictions")
-    try:
+    known, enough = ("scene", *QUANTITIES), _bytes_of_all(truth)
+    with one_line(f"{path}: is no .npz file and no Zarr group of predictions", _REMEDY):
         if path.is_dir():
             import zarr
 
-            group = zarr.open_group(path, mode="r")
-            return {name: np.asarray(array[...]) for name, array in group.arrays()}
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        reason = str(error).split("\n")[0].strip(os.linesep) or type(error).__name__
-        raise InputError(f"{path}: is no .npz file and no Zarr group of predictions ({reason}); {_REMEDY}") from None
+            found = dict(zarr.open_group(path, mode="r").arrays())
+            # A missing chunk is as good as one of zeros, so a shape is not limited by what is stored.
+            declared = sum(array.nbytes for name, array in found.items() if name in known)
+            stored = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+            if declared > max(enough, MOST_PACKED * stored):
+                raise InputError(f"{path}: {declared} bytes declared and {stored} there; write it anew")
+            loaded, names = {name: np.asarray(found[name][...]) for name in known if name in found}, list(found)
+        else:
+            loaded, names = read_npz(path, known, enough)
+    return dict.fromkeys(names, np.zeros(0)) | loaded
+
+
+def _bytes_of_all(truth: Truth) -> int:
+    """Bytes of predictions of every quantity for every scene of the dataset, with a point for each pixel."""
+    cells = 0 if truth.occupancy is None else math.prod(truth.occupancy.shape[1:])
+    return 8 * truth.manifest.schema.scenes * (8 * math.prod(truth.depth.shape[1:]) + cells + 1)
 
 
 def _rows(where: str, scene: NDArray[Any], truth: Truth) -> NDArray[np.intp]:

@@ -6,6 +6,8 @@ The card also has the SHA-256 of `samples.parquet`.
 from __future__ import annotations
 
 import datetime
+import re
+import unicodedata
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +17,7 @@ from datagen.store.location import Location
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import FORMAT, Field
-from datagen.store.table import COLUMNS, TABLE
+from datagen.store.table import COLUMNS, TABLE, parquet_schema
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
 """The licence of a dataset whose configuration names none: all rights are reserved."""
@@ -76,7 +78,8 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         f"datagen {manifest.made_by['datagen']}, seed {manifest.seed}, configuration {manifest.fingerprint[:12]}"
     )
     cite = (
-        f"@misc{{{name}, title = {{{name}: {what.lower()} non-line-of-sight single-photon measurements}}, "
+        f"@misc{{{_bibtex_key(name)}, title = {{{_bibtex_text(name)}: {what.lower()} non-line-of-sight single-photon "
+        f"measurements}}, "
         f"year = {{{made.year}}}, note = {{{made_by}}}}}"
     )
     return {
@@ -84,12 +87,25 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         "name": name,
         "description": config["description"] or f"{what} non-line-of-sight single-photon measurements.",
         "version": f"{FORMAT}.{manifest.schema.scenes}.0",
+        # A configuration has an address or a name of the SPDX list.
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
         **(_IMPORTED if manifest.imported else _RESPONSIBLE),
         "distribution": [_table_file(root), *map(_shards, fields)],
         "recordSet": [_scenes(root), _arrays(manifest)],
     }  # fmt: skip
+
+
+def _bibtex_key(name: str) -> str:
+    """The name of a dataset as a key that BibTeX takes: letters and digits of ASCII, and some signs between them."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    return re.sub(r"[^A-Za-z0-9._:-]+", "-", plain).strip("-.:_") or "dataset"
+
+
+def _bibtex_text(text: str) -> str:
+    """Text as BibTeX and LaTeX print it. Braces and backslashes are left out: BibTeX counts braces, escaped or
+    not."""
+    return re.sub(r"([&%$#_])", r"\\\1", re.sub(r"[{}\\~^]", "", text))
 
 
 def _table_file(root: Location) -> dict[str, Any]:
@@ -109,10 +125,8 @@ def _shards(field: Field) -> dict[str, Any]:
 
 
 def _scenes(root: Location) -> dict[str, Any]:
-    import pyarrow.parquet as pq
-
     with (root / TABLE).open("rb") as file:
-        described = pq.read_schema(file)
+        described = parquet_schema(file)
     columns = [
         {
             "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,

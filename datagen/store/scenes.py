@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records import Scalar, TimeAxis
+from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import read_record, scenes_made
@@ -21,7 +21,7 @@ from datagen.store.verify import committed
 class SceneContent:
     """One scene: field → its value (`arrays`), and its parameters as in `samples.parquet`."""
 
-    root: Path
+    root: Location
     manifest: Manifest
     index: int
     arrays: Mapping[str, NDArray[Any]]
@@ -34,14 +34,15 @@ class SceneContent:
 
 
 class Scenes:
-    """Reads single scenes of a dataset. The mesh files that it was made from are not needed.
+    """Reads single scenes of a dataset, in a folder or at an address such as `s3://bucket/name`. The mesh files that
+    it was made from are not needed.
 
     Raises `InputError` if the folder is no dataset, `CheckError` for missing or damaged values.
     """
 
-    def __init__(self, dataset: str | Path) -> None:
-        self.root = Path(dataset)
-        self.manifest = read_manifest(dataset)
+    def __init__(self, dataset: str | Location) -> None:
+        self.root = location_of(dataset)
+        self.manifest = read_manifest(self.root)
         self._reader = DatasetReader(self.root, self.manifest, self.manifest.schema.by_name)
 
     def made(self) -> list[int]:

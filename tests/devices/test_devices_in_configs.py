@@ -18,7 +18,7 @@ from datagen.config import config_from_mapping, load_config, time_axes
 from datagen.detector import detector_for
 from datagen.devices import device_names
 from datagen.errors import InputError, InputWarning
-from datagen.export import export
+from datagen.formats import export
 from datagen.pipeline import check_inputs, simulate_sample
 from datagen.store.scenes import Scenes
 from datagen.store.schema import schema_of

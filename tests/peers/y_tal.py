@@ -25,7 +25,7 @@ def build(out: Path) -> None:
     import trimesh
 
     import datagen as dg
-    from datagen.export import export
+    from datagen.formats import export
 
     letter = trimesh.util.concatenate([trimesh.creation.box(size).apply_translation(at) for at, size in BARS])
     wall = trimesh.creation.box((2.4, 2.4, 0.02)).apply_translation((0, 0, -0.01))

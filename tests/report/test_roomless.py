@@ -15,7 +15,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
-from datagen.export import export
+from datagen.formats import export
 from datagen.report.contact_sheet import contact_sheet
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene

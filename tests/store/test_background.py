@@ -14,7 +14,7 @@ from scipy import stats
 import datagen as dg
 from datagen.building.resimulate import resimulate
 from datagen.config import config_from_mapping
-from datagen.export import export
+from datagen.formats import export
 from datagen.pipeline import sample_of, simulate_sample
 from datagen.records import Rectangle, Sample
 from datagen.store import verify

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import datagen as dg
-from datagen.export import export
+from datagen.formats import export
 from datagen.store import verify
 from datagen.store.info import info
 

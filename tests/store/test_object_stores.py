@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from fake_samples import build_fakes, small_config
@@ -24,10 +25,12 @@ from fake_samples import build_fakes, small_config
 from datagen.building.build import BuildResult
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
+from datagen.formats import export
 from datagen.loader import TransientDataset
 from datagen.store import verify
 from datagen.store.info import info
 from datagen.store.location import Bucket, _store_of, location_of
+from datagen.store.scenes import Scenes
 from datagen.store.verify import dataset_digest
 
 obstore = pytest.importorskip("obstore", reason="the extra s3 is not installed")
@@ -121,6 +124,19 @@ def test_a_dataset_in_a_store_equals_one_in_a_folder(bucket: Bucket, local: Path
     assert (again.built, again.kept) == (0, 2)
     grown = built(scenes=12)
     assert (grown.built, grown.kept, grown.complete) == (1, 2, True) and verify(ADDRESS).problems == ()
+
+
+def test_single_scenes_are_read_from_the_store(bucket: Bucket, local: Path, tmp_path: Path) -> None:
+    """`Scenes`, and exports that go through it; a folder for the Hub is made of a folder."""
+    built()
+    there, here = Scenes(ADDRESS), Scenes(local)
+    assert str(there.root) == ADDRESS and there.made() == here.made()
+    for name, value in here.read(5).arrays.items():
+        np.testing.assert_array_equal(there.read(5).arrays[name], value)
+    exported = [export(dataset, tmp_path / f"{k}", "npz", [5])[0] for k, dataset in enumerate((ADDRESS, local))]
+    assert exported[0].read_bytes() == exported[1].read_bytes()
+    with pytest.raises(InputError, match=f"{ADDRESS}: a folder for the Hub is made of a dataset in a folder"):
+        export(ADDRESS, tmp_path / "hub", "hub")
 
 
 @pytest.mark.parametrize("puts", [6, 17, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 11))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from fake_samples import fake_sample, small_config
 
 import datagen as dg
 from datagen.config import DatasetConfig, load_config, time_axes
+from datagen.errors import InputError
 from datagen.store import committed, read_manifest, schema_of, verify
 from datagen.store.card import card as card_text
 from datagen.store.schema import FORMAT
@@ -133,6 +135,31 @@ def test_the_card_for_machines_is_whole(tmp_path: Path) -> None:
     assert all(card[f"rai:{name}"] for name in ("dataCollection", "dataBiases", "dataLimitations", "dataUseCases"))
     write_dataset(config.model_copy(update={"license": ""}), path, fake_sample)
     assert "no-permission" in (path / "croissant.json").read_text() and verify(path).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("letters", "letters"),
+        ("Türme & 50 % {Rauch}, 2. Teil", "Turme-50-Rauch-2.-Teil"),
+        ("\\input{x}}, evil = {", "input-x-evil"),
+        ("雨", "dataset"),
+    ],
+)
+def test_any_name_is_cited_by_an_entry_that_bibtex_reads(tmp_path: Path, name: str, key: str) -> None:
+    path = write_dataset(small_config(scenes=4, name=name), tmp_path / "set", fake_sample)
+    cite = json.loads((path / "croissant.json").read_text())["citeAs"]
+    entry = r"@misc\{([A-Za-z0-9._:-]+), title = \{([^{}]*)\}, year = \{\d+\}, note = \{[^{}]*\}\}"
+    found = re.fullmatch(entry, cite)
+    assert found is not None and found[1].replace("--", "-") == key
+    assert not re.search(r"(?<!\\)[%&#$_]", found[2])
+
+
+@pytest.mark.parametrize("terms", ["CC BY 4.0", "free for all", "MIT AND ISC", "LicenseRef-mine", "://", "s3://a/b"])
+def test_terms_without_a_page_are_refused(terms: str) -> None:
+    with pytest.raises(InputError, match=r"license: must be a name of the SPDX list .* or an address"):
+        small_config(license=terms)
+    assert small_config(license="cc-by-4.0").license == "CC-BY-4.0"
 
 
 def test_the_hub_finds_rows_and_licence(tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def surroundings(problem: Problem, seed: int) -> float:
         return 0.0
     position = np.repeat(pool.position[seen], RAYS, axis=0)
     normal = np.repeat(pool.normal[seen], RAYS, axis=0)
-    numbers = scrambled_sobol(stream_seeds(seed, LightStream.SURROUNDINGS), len(position), 2)[0]
+    numbers = scrambled_sobol(stream_seeds(seed, LightStream.CLUSTERS), len(position), 2)[0]
     hits = problem.caster.leaving(position, normal, cosine_directions(normal, numbers))
     reach = math.sqrt(float(problem.caster.face_area_m2.sum()) / VERTICES_KNOWN)
     return float((hits.valid & (np.linalg.norm(hits.position - position, axis=1) < reach)).mean())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.export.measurement import WallFrame, lattice
+from datagen.formats.measurement import WallFrame, lattice
 from datagen.records.arrays import Floats, Ints
 from datagen.records.sample import geometry_fields
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from datagen.config.imported import ImportOptions
-from datagen.errors import InputError
-from datagen.export.tal import HFormat
-from datagen.importing.containers import Content, hdf5_content
-from datagen.importing.recording import UNKNOWN, Recording, time_bins
+from datagen.config.yaml_text import parse_yaml
+from datagen.errors import InputError, TooLargeError
+from datagen.formats.containers import Content, hdf5_content
+from datagen.formats.recording import UNKNOWN, Recording, time_bins
+from datagen.formats.tal import HFormat
 from datagen.records.arrays import Floats
 from datagen.units import time_from_path
 
@@ -61,7 +61,7 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
     )  # fmt: skip
     return Recording(
         path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor,
-        content.wall_normal("sensor_grid_normals"), _hidden(content.texts.get("scene_info")),
+        content.wall_normal("sensor_grid_normals"), _hidden(path, content.texts.get("scene_info", "")),
     )  # fmt: skip
 
 
@@ -99,12 +99,15 @@ def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) ->
         raise InputError(f"{path}: {name}: shape {points.shape} does not fit H, which has {axes} of them")
 
 
-def _hidden(info: str | None) -> Floats | None:
-    """(2, 3) corners of the hidden box that `scene_info` states in plain YAML; None where it does not."""
+def _hidden(path: Path, info: str) -> Floats | None:
+    """(2, 3) corners of the hidden box that `scene_info` states in plain YAML; None where it does not.
+    Raises `TooLargeError` for text whose aliases stand for more than a description ever has."""
     try:
-        volume = yaml.safe_load(info or "")["volume"]
+        volume = parse_yaml(info, f"{path}: scene_info")["volume"]
         center, size = (np.asarray(volume[name], np.float64).reshape(3) for name in ("center", "size"))
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
+    except TooLargeError:
+        raise
+    except (KeyError, TypeError, ValueError):
         # The text may be notes of any kind.
         return None
     corners = np.stack([center - size / 2, center + size / 2])

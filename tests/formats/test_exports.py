@@ -20,8 +20,8 @@ from point_target import LIGHT, SCANS, config_of, hidden_point
 
 import datagen as dg
 from datagen.errors import InputError
-from datagen.export import export
-from datagen.export.measurement import WallFrame, lattice, measurement
+from datagen.formats import export
+from datagen.formats.measurement import WallFrame, lattice, measurement
 from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 from datagen.store import verify
@@ -138,7 +138,7 @@ def test_lists_of_pairs_count_from_the_wall(scan: str, origin: str, made: Any, t
 def test_scans_too_large_for_matlab_are_refused_in_a_line(
     made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("datagen.export.mat._LARGEST_BYTES", 1000)
+    monkeypatch.setattr("datagen.formats.matlab._LARGEST_BYTES", 1000)
     with pytest.raises(InputError, match=r"^scene 1: meas would have .* take --format h5 or npz$"):
         export(made("confocal"), tmp_path / "files", "mat", "1")
     assert list((tmp_path / "files").iterdir()) == []

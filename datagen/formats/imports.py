@@ -17,7 +17,7 @@ from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
-from datagen.importing.frames import (
+from datagen.formats.frames import (
     LARGEST_COUNTS,
     config_of_frames,
     dtype_of_counts,
@@ -25,9 +25,9 @@ from datagen.importing.frames import (
     sample_of_frame,
     scene_of_files,
 )
-from datagen.importing.mat import read_mat
-from datagen.importing.recording import Recording, metres_of, numbers_in, seconds_of
-from datagen.importing.tal import read_tal
+from datagen.formats.matlab_reader import read_mat
+from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
+from datagen.formats.tal_reader import read_tal
 from datagen.records import Sample, Scalar
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of

@@ -15,8 +15,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from datagen.export.measurement import Measurement, lattice, measurement
-from datagen.export.plain import h5py
+from datagen.formats.measurement import Measurement, lattice, measurement
+from datagen.formats.plain import h5py
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.importing.containers import FACING, Content, matlab_content
-from datagen.importing.recording import SAME, UNKNOWN, Recording, time_bins
+from datagen.formats.containers import FACING, Content, matlab_content
+from datagen.formats.recording import SAME, UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats, Ints
 
 _LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.export.measurement import Measurement, lattice, measurement
+from datagen.formats.measurement import Measurement, lattice, measurement
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path

@@ -13,7 +13,7 @@ from foreign_files import grid, stanford, tal
 
 import datagen as dg
 from datagen.cli import run
-from datagen.export import export
+from datagen.formats import export
 from datagen.store import read_manifest
 
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
@@ -180,7 +180,7 @@ def test_a_configuration_cannot_ask_for_it(tmp_path: Path, capsys: pytest.Captur
 def test_a_file_that_changes_during_the_import_is_refused(tmp_path: Path) -> None:
     path, _ = stanford(tmp_path)
     dg.import_captures(path, tmp_path / "set", bin_width="4ps", progress=False)
-    from datagen.importing.captures import ImportedSamples
+    from datagen.formats.imports import ImportedSamples
 
     config = read_manifest(tmp_path / "set").parsed_config()
     path.write_bytes(path.read_bytes() + b"\0")

@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from datagen.errors import CheckError, InputError
-from datagen.export.glb import write_stored_glb
-from datagen.export.hub import write_hub
-from datagen.export.mat import write_mat
-from datagen.export.measurement import QUANTITIES
-from datagen.export.plain import write_h5, write_npz
-from datagen.export.tal import write_tal
+from datagen.formats.glb import write_stored_glb
+from datagen.formats.hub import write_hub
+from datagen.formats.matlab import write_mat
+from datagen.formats.measurement import QUANTITIES
+from datagen.formats.plain import write_h5, write_npz
+from datagen.formats.tal import write_tal
 from datagen.records.checks import numbers_of
 from datagen.store.files import PARTIAL
 from datagen.store.scenes import Scenes

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.export.measurement import lattice, measurement
+from datagen.formats.measurement import lattice, measurement
 from datagen.records.arrays import Floats
 from datagen.store.card import CARD
 from datagen.store.files import write_if_changed
@@ -46,6 +46,10 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
     other files in it.
     """
     root, schema = scenes.root, scenes.manifest.schema
+    if not isinstance(root, Path):
+        raise InputError(
+            f"{root}: a folder for the Hub is made of a dataset in a folder; copy it to this machine first"
+        )
     if not (root / TABLE).is_file():
         raise InputError(f"{root}: is not complete; run the same `datagen build` again, then export it")
     files = [path for path in sorted(root.rglob("*")) if path.is_file()]

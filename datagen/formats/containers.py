@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, printable
-from datagen.export.plain import h5py
-from datagen.importing.matlab5 import read_matlab5
+from datagen.errors import InputError, TooLargeError, printable
+from datagen.formats.matlab5 import read_matlab5
+from datagen.formats.plain import h5py
 from datagen.records.arrays import Floats
+from datagen.untrusted import one_line
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
@@ -98,7 +97,7 @@ def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> C
     """
     kind = "MATLAB 7.3" if matlab else "HDF5"
     arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
-    with _one_line(path, kind), h5py().File(path, "r") as file:
+    with one_line(f"{path}: cannot be read as {kind}"), h5py().File(path, "r") as file:
         # h5py returns a name that is not UTF-8 as bytes.
         names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
         for name in wanted:
@@ -127,8 +126,12 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
     if data.dtype.kind in "OSU":
         if lib.check_string_dtype(data.dtype) is None or data.shape not in ((), (1,)):
             raise InputError(f"{path}: {name}: holds {data.dtype}, not numbers")
+        if data.dtype.itemsize > LONGEST_TEXT:
+            raise TooLargeError(
+                f"{path}: {name}: text of {data.dtype.itemsize} bytes; at most {LONGEST_TEXT} are read"
+            )
         text = data.asstr(errors="replace")[()]
-        return str(text if data.shape == () else text[0])[:LONGEST_TEXT]
+        return str(text if data.shape == () else text[0])
     if data.dtype.kind not in "fiub":
         raise InputError(f"{path}: {name}: holds {data.dtype}, real numbers are needed")
     size = math.prod(data.shape) * data.dtype.itemsize
@@ -148,22 +151,6 @@ def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
     """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
-    with _one_line(path, "MATLAB"):
+    with one_line(f"{path}: cannot be read as MATLAB"):
         arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
     return Content(path, arrays, {}, tuple(names))
-
-
-@contextmanager
-def _one_line(path: Path, kind: str) -> Iterator[None]:
-    """Turn any error that a reader raises over a damaged file into one line."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    except InputError:
-        raise
-    except MemoryError:
-        raise InputError(f"{path}: does not fit into memory; cut it into smaller files") from None
-    except Exception as error:
-        reason = " ".join(printable(str(error)).split())[:200] or type(error).__name__
-        raise InputError(f"{path}: cannot be read as {kind} ({reason}); it is damaged, or of another kind") from None
