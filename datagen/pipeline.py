@@ -181,15 +181,19 @@ def check_inputs(config: DatasetConfig) -> None:
 
 
 def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes."""
+    """A warning for each thing that is possible and most likely not meant: no objects; meshes with bent faces or holes."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
             "the key out for a pillar and a box"
         )
     volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
-    meshes = meshes_named(config.scene) if volumes else ()
-    holed = [where for where, of in meshes if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
+    meshes = list(meshes_named(config.scene))
+    for where, _, doubt in meshes:
+        if doubt:
+            yield f"{where}: {doubt}"
+    closed = meshes if volumes else ()
+    holed = [where for where, of, _ in closed if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
     if holed:
         more = f" and {len(holed) - 1} more" if len(holed) > 1 else ""
         yield (

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+from warnings import warn
 
 import numpy as np
 import scipy.optimize
@@ -39,14 +40,14 @@ from datagen.devices.calibrate import (
 )
 from datagen.devices.frames import Frames
 from datagen.devices.model import Device, check_recorded_by, device
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
 from datagen.transport.visibility.raycast import Raycaster
-from scene_library.meshes import BadMesh, triangles_of
+from scene_library.meshes import BadMesh, read_mesh
 
 Group = Literal["hand", "mesh", "zones"]
 GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
@@ -183,10 +184,12 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     parts = []
     for path in map(Path, paths):
         try:
-            vertices, faces = triangles_of(path)
+            mesh_file = read_mesh(path)
         except BadMesh as error:
             raise InputError(f"{path}: {error}") from None
-        whole = trimesh.Trimesh(vertices, faces, process=True)
+        if mesh_file.doubt:
+            warn(f"{path}: {mesh_file.doubt}", InputWarning, stacklevel=2)
+        whole = trimesh.Trimesh(mesh_file.vertices, mesh_file.triangles, process=True)
         joined = whole.face_adjacency_convex | (whole.face_adjacency_angles < CONCAVE_RAD)
         pieces = trimesh.graph.connected_components(
             whole.face_adjacency[joined], nodes=np.arange(len(whole.faces)), min_len=1
