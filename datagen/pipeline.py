@@ -181,7 +181,8 @@ def check_inputs(config: DatasetConfig) -> None:
 
 
 def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; meshes with bent faces or holes."""
+    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes or bent
+    faces."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "

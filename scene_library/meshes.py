@@ -173,8 +173,9 @@ def _of_polygons(path: Path) -> MeshFile:
     faces = POLYGONS[path.suffix.lower()](path)
     triangles, bent = faces.triangles()
     doubt = (
-        f"{bent} of {len(faces.counts)} faces have more than three corners and lie off a plane by more than {BENT:.0%} "
-        "of their size, and the file does not say how they bend; triangulate them in a mesh editor if it matters"
+        f"{bent} of {len(faces.counts)} faces have more than three corners and lie off a plane by more than "
+        f"{BENT:.0%} of their size, and the file does not say how they bend; triangulate them in a "
+        "mesh editor if it matters"
     )
     return MeshFile(faces.vertices, triangles, doubt if bent else "")
 

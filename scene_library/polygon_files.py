@@ -88,8 +88,9 @@ def _cut(vertices: Floats, faces: Ints, numbers: Ints) -> tuple[Ints, int]:
 
 
 def _flattened(corners: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Faces (n, k, 3) seen along their mean normal, counter-clockwise (n, k, 2), in units of their size; (n,) largest
-    distance of a corner from the mean plane, in the same unit; (n,) whether a fan about any corner covers the face."""
+    """Faces (n, k, 3) seen along their mean normal, counter-clockwise (n, k, 2), in units of their size; (n,)
+    largest distance of a corner from the mean plane, in the same unit; (n,) whether a fan about any corner covers
+    the face."""
     place = corners - corners[:, :1]
     size = np.abs(place).max(axis=(1, 2), keepdims=True)
     place = place / np.where(size > 0, size, 1.0)

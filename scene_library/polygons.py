@@ -139,7 +139,7 @@ def triangulate(polygon: Polygon) -> NDArray[np.int64]:
         k = np.arange(1, len(polygon) - 1)
         return np.stack([np.zeros_like(k), k, k + 1], axis=1)
     left = np.arange(len(polygon))
-    ears = np.array([_ear(polygon, left, place) for place in left])
+    ears = np.array([_ear(polygon, left, place) for place in range(len(left))])
     triangles: list[tuple[int, int, int]] = []
     while len(left) > 3:
         folds = _folds(polygon[left])
@@ -180,7 +180,9 @@ def crosses_itself(polygon: Polygon) -> bool:
 
 def _bend(a: Floats, b: Floats, c: Floats) -> Floats:
     """Twice the signed area of triangles (…, 2)."""
-    return np.asarray((b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0]))
+    return np.asarray(
+        (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
+    )
 
 
 def _flatness(corners: Floats) -> float:
@@ -197,8 +199,8 @@ def _ear(polygon: Polygon, left: NDArray[np.int64], place: int) -> float:
     if fatness <= 1e-12:
         return 0.0
     others = polygon[left]
-    # A corner on the triangle's rim, but for rounding, is in the way; where the outline touches itself, the triangle's
-    # own corners come again, and the sides that leave there must not cross the cut.
+    # A corner on the triangle's rim, but for rounding, is in the way. Where the outline touches itself, the corners of
+    # the triangle come again, and the sides that leave there must not cross the cut.
     apart = ~((others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1))
     rounding = -1e-9 * _bend(a, b, c)
     inside = (_bend(a, b, others) >= rounding) & (_bend(b, c, others) >= rounding) & (_bend(c, a, others) >= rounding)
@@ -214,7 +216,5 @@ def _crossed(a: Floats, b: Floats, starts: Floats, ends: Floats) -> bool:
     least = 1e-12 * size**2
     of_side = _bend(starts, ends, a), _bend(starts, ends, b)
     of_cut = _bend(a, b, starts), _bend(a, b, ends)
-    apart = [
-        ((one > least) & (two < -least)) | ((one < -least) & (two > least)) for one, two in (of_side, of_cut)
-    ]
+    apart = [((one > least) & (two < -least)) | ((one < -least) & (two > least)) for one, two in (of_side, of_cut)]
     return bool((apart[0] & apart[1]).any())

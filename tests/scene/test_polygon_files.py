@@ -52,8 +52,8 @@ def ply(vertices: np.ndarray, faces: list[list[int]], kind: str) -> bytes:
         return header + "\n".join(rows).encode()
     order = "<" if "little" in kind else ">"
     body = b"".join(struct.pack(order + "3dB", *vertex, 7) for vertex in vertices)
-    return header + body + b"".join(
-        struct.pack(f"{order}hB{len(face)}If", -1, len(face), *face, 0.5) for face in faces
+    return (
+        header + body + b"".join(struct.pack(f"{order}hB{len(face)}If", -1, len(face), *face, 0.5) for face in faces)
     )
 
 
@@ -163,7 +163,7 @@ def test_a_ply_file_cut_short_is_refused(tmp_path: Path, kind: str) -> None:
         (tmp_path / "c.ply").write_bytes(content)
         assert len(read_ply(tmp_path / "c.ply").counts) == len(some)
         (tmp_path / "c.ply").write_bytes(content[: -9 if kind == "ascii" else -3])
-        with pytest.raises(BadMesh, match="^cannot be parsed"):
+        with pytest.raises(BadMesh, match=r"^cannot be parsed"):
             read_mesh(tmp_path / "c.ply")
 
 
@@ -199,7 +199,9 @@ def test_a_slightly_bent_quad_loads_and_a_twisted_one_gets_a_line(tmp_path: Path
     ],
     ids=("two equal loops", "two loops", "star"),
 )  # fmt: skip
-def test_a_face_that_crosses_itself_is_refused_in_one_line(tmp_path: Path, outline: list[tuple[float, float]]) -> None:
+def test_a_face_that_crosses_itself_is_refused_in_one_line(
+    tmp_path: Path, outline: list[tuple[float, float]]
+) -> None:
     (tmp_path / "x.obj").write_bytes(obj(np.insert(np.array(outline), 1, 0.0, axis=1), [list(range(len(outline)))]))
     config = {"scene": {"contents": [{"kind": "mesh", "path": "x.obj", "height_m": 1.0}]}}
     with pytest.raises(InputError) as caught:
