@@ -199,7 +199,7 @@ def _ear(polygon: Polygon, left: NDArray[np.int64], place: int) -> float:
     if fatness <= 1e-12:
         return 0.0
     others = polygon[left]
-    # A corner on the triangle's rim, but for rounding, is in the way. Where the outline touches itself, the corners of
+    # A corner on the rim, but for rounding, is in the way. Where the outline touches itself, the corners of
     # the triangle come again, and the sides that leave there must not cross the cut.
     apart = ~((others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1))
     rounding = -1e-9 * _bend(a, b, c)
