@@ -35,6 +35,7 @@ from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
+from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
@@ -64,6 +65,7 @@ def sample_of(
     """
     seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
     with _timed(seconds, "effects"):
+        scene = set_apart(scene, capture).scene
         caster = Raycaster(scene)
         effects = EffectDecisions((), 0.0)
         if given is None:
@@ -160,8 +162,8 @@ into large rooms on purpose are warned of, too."""
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, and zones
-    whose light arrives after the time axis ends.
+    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
+    of meshes, parts in one place, and zones whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
@@ -171,26 +173,40 @@ def check_inputs(config: DatasetConfig) -> None:
     dark = np.zeros((1, *capture.shape[1:]))
     tolerance, approximate = config.detector.tolerance, config.detector.approximate
     choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried)):
+    for warning in (*_most_likely_not_meant(config), *_coincident(tried), *_too_late(config, tried)):
         warn(warning, InputWarning, stacklevel=3)
 
 
 def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes."""
+    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes or bent
+    faces."""
     if not any(largest_count(item.count) for item in config.scene.contents):
         yield (
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
             "the key out for a pillar and a box"
         )
     volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
-    meshes = meshes_named(config.scene) if volumes else ()
-    holed = [where for where, of in meshes if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
+    meshes = list(meshes_named(config.scene))
+    for where, _, doubt in meshes:
+        if doubt:
+            yield f"{where}: {doubt}"
+    closed = meshes if volumes else ()
+    holed = [where for where, of, _ in closed if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
     if holed:
         more = f" and {len(holed) - 1} more" if len(holed) > 1 else ""
         yield (
             f"{holed[0]}{more}: the mesh is not closed, so it has no inside: only its surface is in "
             f"{' and '.join(volumes)}; close it in a mesh editor, or leave the field out (store.fields)"
         )
+
+
+def _coincident(tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
+    """A warning if parts of one of the scenes tried lie in one place."""
+    for index, (scene, capture) in enumerate(tried):
+        warning = set_apart(scene, capture).warning
+        if warning:
+            yield f"scene {index}: {warning}"
+            return
 
 
 def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scene_library.polygon_files import BENT, NotSimple, read_obj, read_ply
 from scene_library.rounding import Floats, product
 from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+POLYGONS = {".obj": read_obj, ".ply": read_ply}
+"""Formats whose faces may have any number of corners; STL and GLB know triangles only."""
 
 FRONTS = {"z": "-y", "-z": "y", "y": "z", "-y": "-z", "x": "-y", "-x": "-y"}
 """Axis of the file that points up → the one that points to the front where nothing is said."""
@@ -49,7 +52,24 @@ half a minute a scene, six million three minutes to be thinned; half as many of 
 scanner makes of a statue."""
 MESHES_KEPT = 256
 """Meshes held in memory by each process; beyond that the oldest is dropped."""
-_cache: dict[tuple[str, int, int, MeshOptions], Solid] = {}
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """The surface of a file.
+
+    Attributes
+    ----------
+    vertices, triangles : (V, 3) and (F, 3), in the file's coordinates.
+    doubt : what the file leaves open, in a line for users; "" where nothing.
+    """
+
+    vertices: Floats
+    triangles: NDArray[np.int64]
+    doubt: str
+
+
+_cache: dict[tuple[str, int, int, MeshOptions], tuple[Solid, str]] = {}
 
 
 def unit_mesh(path: Path, options: MeshOptions) -> Solid:
@@ -57,6 +77,11 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
 
     Kept in memory, by path, time of change, size and options. Raises `BadMesh`.
     """
+    return unit_mesh_and_doubt(path, options)[0]
+
+
+def unit_mesh_and_doubt(path: Path, options: MeshOptions) -> tuple[Solid, str]:
+    """`unit_mesh`, and what the file leaves open (`MeshFile.doubt`)."""
     try:
         state = path.stat()
     except OSError as error:
@@ -69,18 +94,19 @@ def unit_mesh(path: Path, options: MeshOptions) -> Solid:
     return _cache[key]
 
 
-def triangles_of(path: Path) -> tuple[Floats, NDArray[np.int64]]:
-    """Vertices (V, 3) and triangles (F, 3) of a mesh file, in the file's coordinates. Raises `BadMesh`."""
+def read_mesh(path: Path) -> MeshFile:
+    """The surface of a mesh file. Raises `BadMesh`."""
     if not path.is_file():
         raise BadMesh("cannot be read (no such file)")
-    vertices, faces = _read(path, MeshOptions())
-    if not np.isfinite(vertices).all():
+    mesh = _read(path, MeshOptions())
+    if not np.isfinite(mesh.vertices).all():
         raise BadMesh("has vertices that are not finite; export it again")
-    return vertices, faces
+    return mesh
 
 
-def _unit(path: Path, options: MeshOptions) -> Solid:
-    vertices, faces = cleaned(*_read(path, options))
+def _unit(path: Path, options: MeshOptions) -> tuple[Solid, str]:
+    mesh = _read(path, options)
+    vertices, faces = cleaned(mesh.vertices, mesh.triangles)
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
@@ -92,7 +118,7 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
             f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up` ({across})"
         )
     vertices = (vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]) / (high[2] - low[2])
-    return Solid.of(vertices, faces)
+    return Solid.of(vertices, faces), mesh.doubt
 
 
 def _upright(up: str, front: str) -> Floats:
@@ -116,32 +142,60 @@ def _check_steps(vertices: Floats) -> None:
         )
 
 
-def _read(path: Path, options: MeshOptions) -> tuple[Floats, NDArray[np.int64]]:
+def _read(path: Path, options: MeshOptions) -> MeshFile:
     """All triangles of a file, the transforms of its scene graph applied."""
-    import trimesh
-
-    if path.suffix.lower() not in SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
         raise BadMesh(f"is no mesh file that is known; convert it to one of {' '.join(SUFFIXES)}")
     if path.stat().st_size == 0:
         raise BadMesh("is empty (0 bytes); export it again")
     try:
         _check_count(_triangles_told(path), options)
         with np.errstate(all="ignore"):
-            loaded: Any = trimesh.load(path, force="scene", process=False, skip_materials=True)
-            pieces = list(_pieces(loaded))
+            mesh = _of_polygons(path) if suffix in POLYGONS else _of_triangles(path)
     except BadMesh:
         raise
+    except NotSimple as error:
+        raise BadMesh(f"has a face that has no triangles ({error}); triangulate it in a mesh editor") from None
     except Exception as error:
         # Whatever a parser stumbles over in a broken file is the file's fault, and its message the best there is.
         reason = " ".join(str(error).split())[:120] or type(error).__name__
         raise BadMesh(f"cannot be parsed ({reason}); export it again as one of {' '.join(SUFFIXES)}") from None
-    if not pieces:
-        if loaded.geometry:
+    if not len(mesh.triangles):
+        if len(mesh.vertices):
             raise BadMesh("is a point cloud or holds only lines, and has no triangles; reconstruct a surface first")
         raise BadMesh("holds no triangles, or is cut short; export a surface mesh again")
-    offsets = np.cumsum([0] + [len(v) for v, _ in pieces])
-    faces = np.concatenate([f + o for (_, f), o in zip(pieces, offsets, strict=False)])
-    return np.concatenate([v for v, _ in pieces]), faces
+    return mesh
+
+
+def _of_polygons(path: Path) -> MeshFile:
+    """The surface of a file whose faces may have any number of corners."""
+    faces = POLYGONS[path.suffix.lower()](path)
+    triangles, bent = faces.triangles()
+    doubt = (
+        f"{bent} of {len(faces.counts)} faces have more than three corners and lie off a plane by more than "
+        f"{BENT:.0%} of their size, and the file does not say how they bend; triangulate them in a "
+        "mesh editor if it matters"
+    )
+    return MeshFile(faces.vertices, triangles, doubt if bent else "")
+
+
+def _of_triangles(path: Path) -> MeshFile:
+    """The surface of a file of triangles, by trimesh."""
+    import trimesh
+
+    loaded: Any = trimesh.load(path, force="scene", process=False, skip_materials=True)
+    vertices, triangles, offset = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        geometry = loaded.geometry[name]
+        if len(getattr(geometry, "faces", ())):
+            vertices.append(
+                product(np.asarray(geometry.vertices, np.float64), transform[:3, :3].T) + transform[:3, 3]
+            )
+            triangles.append(np.asarray(geometry.faces, np.int64) + offset)
+            offset += len(vertices[-1])
+    return MeshFile(np.concatenate(vertices), np.concatenate(triangles), "")
 
 
 def _check_count(count: int, options: MeshOptions) -> None:
@@ -189,37 +243,6 @@ def _triangles_of_nodes(tree: dict[str, Any]) -> int:
             raise BadMesh(f"has a node ({node}) with {count} parents, and glTF allows one; export it again")
     in_mesh = [sum(map(size, mesh["primitives"])) for mesh in tree.get("meshes", [])]
     return max(sum(in_mesh), sum(in_mesh[int(node["mesh"])] for node in tree.get("nodes", []) if "mesh" in node))
-
-
-def _pieces(loaded: Any) -> Any:
-    for node in loaded.graph.nodes_geometry:
-        transform, name = loaded.graph[node]
-        geometry = loaded.geometry[name]
-        faces = getattr(geometry, "faces", None)
-        if faces is None:
-            faces = _strips(geometry)
-        if faces is not None and len(faces):
-            vertices = np.asarray(geometry.vertices, np.float64)
-            yield product(vertices, transform[:3, :3].T) + transform[:3, 3], np.asarray(faces, np.int64)
-
-
-def _strips(geometry: Any) -> NDArray[np.int64] | None:
-    """(F, 3) triangles of the strips of a PLY file (element `tristrips`), which trimesh reads and leaves aside; −1
-    ends a strip. None where there are none."""
-    data = getattr(geometry, "metadata", {}).get("_ply_raw", {}).get("tristrips", {}).get("data")
-    if data is None or not len(data):
-        return None
-    lists = next(iter(data.values())) if isinstance(data, dict) else data[data.dtype.names[0]]["f1"]
-    found = [np.empty((0, 3), np.int64)]
-    for strip in lists:
-        for piece in np.split(np.asarray(strip, np.int64), np.flatnonzero(np.less(strip, 0))):
-            piece = piece[piece >= 0]
-            if len(piece) > 2:
-                corners = np.lib.stride_tricks.sliding_window_view(piece, 3)
-                # Every second triangle of a strip runs the other way round.
-                odd = np.arange(len(corners))[:, None] % 2 == 1
-                found.append(np.where(odd, corners[:, [1, 0, 2]], corners))
-    return np.concatenate(found)
 
 
 def cleaned(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+from warnings import warn
 
 import numpy as np
 import scipy.optimize
@@ -33,14 +34,14 @@ from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covaria
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, device, has_shape_of, recorded_by
 from datagen.devices.saturation import blind_periods, saturated, unsaturated
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
 from datagen.transport.visibility.raycast import Raycaster
-from scene_library.meshes import BadMesh, triangles_of
+from scene_library.meshes import BadMesh, read_mesh
 
 Group = Literal["hand", "mesh", "zones"]
 GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
@@ -182,10 +183,12 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     parts = []
     for path in map(Path, paths):
         try:
-            vertices, faces = triangles_of(path)
+            mesh_file = read_mesh(path)
         except BadMesh as error:
             raise InputError(f"{path}: {error}") from None
-        whole = trimesh.Trimesh(vertices, faces, process=True)
+        if mesh_file.doubt:
+            warn(f"{path}: {mesh_file.doubt}", InputWarning, stacklevel=2)
+        whole = trimesh.Trimesh(mesh_file.vertices, mesh_file.triangles, process=True)
         joined = whole.face_adjacency_convex | (whole.face_adjacency_angles < CONCAVE_RAD)
         pieces = trimesh.graph.connected_components(
             whole.face_adjacency[joined], nodes=np.arange(len(whole.faces)), min_len=1

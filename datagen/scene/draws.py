@@ -27,7 +27,7 @@ from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
 from scene_library.layouts import PLANS
-from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
+from scene_library.meshes import BadMesh, MeshOptions, unit_mesh_and_doubt
 from scene_library.objects import build
 from scene_library.placement import Occupied
 from scene_library.rooms import FloorPlan, mirrored, out_of_square, surfaces, wall_groups
@@ -189,16 +189,19 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
     raise TypeError(f"no solid is known for {type(item).__name__}")
 
 
-def load_mesh(item: MeshItem, file: Path, shown: str) -> Solid:
-    """The solid in a mesh file, 1 m high. Raises `InputError`, which calls the file `shown`."""
+def load_mesh(item: MeshItem, file: Path, shown: str) -> tuple[Solid, str]:
+    """The solid in a mesh file, 1 m high, and what the file leaves open ("" if nothing), in a line for users.
+
+    Raises `InputError`, which calls the file `shown`.
+    """
     try:
-        return unit_mesh(file, MeshOptions(item.up, item.front, item.max_triangles))
+        return unit_mesh_and_doubt(file, MeshOptions(item.up, item.front, item.max_triangles))
     except BadMesh as error:
         raise InputError(f"path = {shown!r}: {error}") from None
 
 
 def _mesh(item: MeshItem, file: Path, label: str, shown: str, height_m: float) -> Drawn:
-    solid = load_mesh(item, file, shown).scaled(height_m)
+    solid = load_mesh(item, file, shown)[0].scaled(height_m)
     return Drawn(solid, label, {**_extents(solid), "triangles": len(solid.triangles), "file": shown})
 
 

@@ -221,9 +221,9 @@ def check_scene_config(spec: SceneConfig) -> None:
         pass
 
 
-def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid]]:
-    """Each mesh of the settings: where it is named, as `scene.contents[0].path = 'spot.obj'`, and its solid, 1 m
-    high.
+def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid, str]]:
+    """Each mesh of the settings: where it is named, as `scene.contents[0].path = 'spot.obj'`, its solid, 1 m high,
+    and what its file leaves open ("" if nothing).
 
     Of a folder with more than `MESHES_CHECKED` files only some, evenly spread. Raises `InputError` for a bad file.
     """
@@ -237,7 +237,7 @@ def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid]]:
             files = {item.shown(file): file for file in every[:: 1 + len(every) // MESHES_CHECKED]}
         for shown, file in files.items():
             try:
-                solid = load_mesh(item, file, shown)
+                solid, doubt = load_mesh(item, file, shown)
             except InputError as error:
                 raise InputError(f"scene.contents[{i}].{error}") from None
-            yield f"scene.contents[{i}].path = {shown!r}", solid
+            yield f"scene.contents[{i}].path = {shown!r}", solid, doubt

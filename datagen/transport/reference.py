@@ -35,6 +35,7 @@ from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.sampling import stream_seeds
+from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
@@ -223,7 +224,9 @@ def reference(
         the standard error. draw : function that draws the paths: `plain_paths`, or `sampled_paths.sample_paths`,
         which has the same arguments and the same mean with far less noise. The other arguments are those of `draw`.
     """
-    caster = Raycaster(scene) if caster is None else caster
+    if caster is None:
+        scene = set_apart(scene, capture).scene
+        caster = Raycaster(scene)
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
     pairs = pairs_of(capture)
     # A flood is the weighted mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.

@@ -17,7 +17,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.brdf import GGX_LOBE, PHONG, RETROREFLECTOR, MaterialTable, dot, evaluate
+from datagen.transport.brdf import MaterialTable, dot, evaluate, widen
 from datagen.transport.visibility.raycast import Raycaster
 
 EVENLY = 0.25
@@ -185,10 +185,7 @@ def _guesses(kind, values, part, normal, middle, radius, x, v):  # type: ignore[
             # A loop, as `row[:] = …` would also compile the error message for arrays that do not fit.
             for j in range(len(row)):
                 row[j] = values[part[i], j]
-            if k in (PHONG, RETROREFLECTOR):
-                row[1] = min(row[1], 1.0 / (span * span))
-            elif k == GGX_LOBE:
-                row[1] = min(max(row[1], 0.5 * span), 1.0)
+            widen(k, row, span)
             f1 = evaluate(kind[x.part[p]], values[x.part[p]], n1, back1, (-w1[0], -w1[1], -w1[2]))
             f3 = evaluate(kind[v.part[p]], values[v.part[p]], n3, (-w3[0], -w3[1], -w3[2]), back3)
             f2 = evaluate(k, row, n, w1, w3)

@@ -29,6 +29,7 @@ from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
 from datagen.transport.path_tracing.averages import Average, Estimate, path_average, rays_of, split_rows
 from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
 from datagen.transport.problem import Problem, TallyRows, components_asked
+from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.raycast import Raycaster
 
 
@@ -67,7 +68,8 @@ def simulate(
     Warns
     -----
     InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres; a
-        laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object.
+        laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object; surfaces of
+        two parts coincide where light gets to, and one is taken to lie on the other (`visibility/coincidence.py`).
 
     Examples
     --------
@@ -93,6 +95,10 @@ def simulate(
             f"Accuracy.target = {accuracy.target:g} with Sensor.footprints: a target is met for pixels of even "
             "sensitivity only; give sample counts instead, such as Accuracy(lookins=1024, fov_samples=4)"
         )
+    apart = set_apart(scene, capture)
+    if apart.warning:
+        warn(f"simulate: {apart.warning}", InputWarning, stacklevel=2)
+    scene = apart.scene
     caster = Raycaster(scene)
     astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
     if astray:

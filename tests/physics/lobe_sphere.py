@@ -45,6 +45,24 @@ def values_along(kind, values, n, w_in, w_out):  # type: ignore[no-untyped-def]
     return f, density
 
 
+@njit(cache=True)
+def most_along(kind, values, n, w_in, w_out, turn, tilt):  # type: ignore[no-untyped-def]
+    """(n,) `evaluate_at_most` for n incoming and n outgoing directions."""
+    most = np.empty(len(w_out))
+    for i in range(len(w_out)):
+        a, b = (w_in[i, 0], w_in[i, 1], w_in[i, 2]), (w_out[i, 0], w_out[i, 1], w_out[i, 2])
+        most[i] = brdf.evaluate_at_most(kind, values, (n[0], n[1], n[2]), a, b, turn, tilt)
+    return most
+
+
+@njit(cache=True)
+def widened(kind, values, span):  # type: ignore[no-untyped-def]
+    """A material's row with its lobe widened by an angle."""
+    row = values.copy()
+    brdf.widen(kind, row, span)
+    return row
+
+
 def row_of(material: Material) -> tuple[np.integer, NDArray[np.float64]]:
     table = MaterialTable.of((material,))
     return table.kind[0], table.values[0]

@@ -23,6 +23,8 @@ from datagen.transport.error_control.stratum import Known
 from datagen.transport.path_tracing.replicate_spread import Sketch
 from datagen.transport.quadrature.four_bounces import secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
+from datagen.transport.reference import pairs_of
+from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.simulate import prepared
 
 AXIS = bins_of_path(40, 0.5, 0.0)
@@ -278,6 +280,29 @@ def test_light_that_a_first_round_has_not_met_is_searched_for(seed: int) -> None
     assert found.error_bound is not None and found.error_bound <= 0.02
     off = np.linalg.norm(found.components["secondary"] - truth.histogram)
     assert off <= 2 * found.error_bound * norm
+
+
+@pytest.mark.parametrize("limit", [1e-9, 1e-11, 1e-15])
+def test_a_window_that_ends_before_all_light_of_four_bounces(limit: float) -> None:
+    """Two plates before the wall give light to each other, the shortest path by both is 3 cm longer than the window.
+    Coarse elements still reach into it, finer ones don't: an error relative to no light cannot be asked."""
+    plates = {"ahead": rectangle((0.4, 0.1, 1), (0, 0.3, 0), (0, 0, 0.3)),
+              "beside": rectangle((0.5, 0.6, 1), (0.2, 0.05, 0), (0, 0, 0.3))}  # fmt: skip
+    wall = Part("relay_wall", rectangle((0, 0, 1), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")
+    scene = Scene.from_parts([wall, *(Part(name, plate, Lambertian(0.7)) for name, plate in plates.items())])
+    steps = np.linspace(-0.3, 0.3, 6)
+    points = np.array([(0, y, 1 + z) for y in steps for z in steps])
+    # The shortest path by both plates is 0.998 m long; bins of 30 ps are 9 mm of path.
+    time, device = bins_of_path(128, 0.009, 0.968 - 128 * 0.009), (1, -4, 1)
+    capture = Capture(Laser(device, points), Sensor(device, square_pixels(points, 0.02)), time, "confocal")
+    task = prepared(scene, capture, Accuracy(target=0.02, max_bounces=4), 0, split_parts=False)
+    found = secondary_by_cells(Gathering.of(task), limit, 0.02)
+    assert found is not None and found.error <= limit
+    assert np.linalg.norm(found.histogram) <= limit
+    assert found.overflow.sum() == pytest.approx(1.8e-10, rel=0.03)
+    paths = sample_paths(task.caster, scene, task.materials, capture, pairs_of(capture), 64, max_bounces=4, seed=1)
+    fourth = paths.path_m[paths.order == 4]
+    assert len(fourth) > 0 and fourth.min() > 0.968
 
 
 def test_light_whose_square_is_too_small_for_a_number_is_no_error() -> None:

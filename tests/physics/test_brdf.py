@@ -16,8 +16,10 @@ from lobe_sphere import (
     draw,
     incoming,
     integrals,
+    most_along,
     row_of,
     values_along,
+    widened,
 )
 from numpy.typing import NDArray
 from scipy import stats
@@ -25,7 +27,8 @@ from scipy import stats
 from datagen import GGX, Lambertian, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.errors import InputError
 from datagen.records import Material
-from datagen.transport.brdf import LAMBERTIAN, MaterialTable, albedo, ggx
+from datagen.transport import brdf
+from datagen.transport.brdf import LAMBERTIAN, MaterialTable, albedo, ggx, lobe_width
 
 MODELS = (
     Lambertian(0.6),
@@ -149,6 +152,74 @@ def test_finite_everywhere_and_nothing_below_the_surface(material: Material) -> 
             assert (f[np.concatenate([out, drawn]) @ n < -1e-15] == 0).all()
         f, _ = values_along(kind, values, n, -NORMAL[None] if n is NORMAL else -n[None], out)
         assert (f == 0).all()
+
+
+def directions(seed: int, n: int = 4000) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n, 3) incoming and outgoing directions, a third of the pairs near the mirror direction, a third near each
+    other."""
+    rng = np.random.default_rng(seed)
+    a = about(NORMAL, 0.98 * rng.random(n), rng.random(n) * 2 * np.pi)
+    b = about(NORMAL, 0.98 * rng.random(n), rng.random(n) * 2 * np.pi)
+    near, mirrored = np.arange(n) % 3 == 0, np.arange(n) % 3 == 1
+    b[near] = a[near] + 0.05 * rng.normal(size=(near.sum(), 3))
+    b[mirrored] = 2 * (a[mirrored] @ NORMAL)[:, None] * NORMAL - a[mirrored]
+    b[mirrored] += 0.05 * rng.normal(size=(mirrored.sum(), 3))
+    return a, b / np.linalg.norm(b, axis=1, keepdims=True)
+
+
+@models
+def test_the_largest_value_over_a_piece_of_surface(material: Material) -> None:
+    """`evaluate_at_most` without any deviation is `evaluate`; with one it is no less, finite, and at least what the
+    BRDF is in directions that deviate by as much, but for the cosines of lobes and the shading of a matt surface."""
+    kind, values = row_of(material)
+    a, b = directions(3)
+    f, _ = values_along(kind, values, NORMAL, a, b)
+    np.testing.assert_allclose(most_along(kind, values, NORMAL, a, b, 0.0, 0.0), f, rtol=1e-6)
+    if isinstance(material, OrenNayar | SinLobe):
+        most = most_along(kind, values, NORMAL, a, b, 0.05, 0.02)
+        assert np.isfinite(most).all() and (most >= f * (1 - 1e-9)).all()
+        return
+    turned = b + 0.02 * np.cross(b, np.random.default_rng(4).normal(size=b.shape))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    turn = np.arccos(np.clip((turned * b).sum(axis=1), -1, 1)).max()
+    # At grazing directions the cosines, which the bound takes at `b`, change by much.
+    steep = (a @ NORMAL > 0.2) & (b @ NORMAL > 0.2) & (turned @ NORMAL > 0.2)
+    most = most_along(kind, values, NORMAL, a[steep], b[steep], turn, 0.0)
+    elsewhere, _ = values_along(kind, values, NORMAL, a[steep], turned[steep])
+    assert np.isfinite(most).all()
+    assert (most >= f[steep] * (1 - 1e-9)).all() and (most >= 0.6 * elsewhere).all()
+
+
+@models
+def test_a_widened_lobe_is_as_wide_as_asked_and_still_a_brdf(material: Material) -> None:
+    """What has no lobe stays the same; a lobe that is wider than the angle, too."""
+    kind, values = row_of(material)
+    a, b = directions(5)
+    before, _ = values_along(kind, values, NORMAL, a, b)
+    np.testing.assert_array_equal(widened(kind, values, 1e-5), values)
+    after, density = values_along(kind, widened(kind, values, 0.5), NORMAL, a, b)
+    assert np.isfinite(after).all() and np.isfinite(density).all() and (after >= 0).all()
+    if lobe_width(material) < 0.2:
+        assert after.max() < before.max()
+    if math.isinf(brdf.table.model_of(material).lobe_width_rad(material)):
+        np.testing.assert_array_equal(after, before)
+
+
+def test_every_kind_is_asked_and_an_unknown_one_fails() -> None:
+    """Each kind of the table is among the models of this file, so that each function of each is called here; a kind
+    that a function does not call is an error, where it was a retroreflector before."""
+    assert {type(material) for material in MODELS} == {model.record for model in brdf.MODELS}
+    assert {int(row_of(material)[0]) for material in MODELS} == set(range(len(brdf.MODELS)))
+    unknown, values = np.int64(len(brdf.MODELS)), row_of(Retroreflector(0.8))[1]
+    w = incoming(0.8)
+    for call in (
+        lambda: values_along(unknown, values, NORMAL, w[None], w[None]),
+        lambda: most_along(unknown, values, NORMAL, w[None], w[None], 0.1, 0.1),
+        lambda: draw(unknown, values, NORMAL, w, np.full((1, 2), 0.5)),
+        lambda: widened(unknown, values, 0.1),
+    ):
+        with pytest.raises(ValueError, match="a kind of BRDF that models"):
+            call()
 
 
 def test_limits_that_are_lamberts_law() -> None:

@@ -1,4 +1,5 @@
-"""BRDFs for the transport kernels, one model in each file; every model has `evaluate`, `sample` and `pdf`.
+"""BRDFs for the transport kernels, one model in each file; every model has `evaluate`, `at_most`, `pdf`, `sample` and
+`widen` for compiled loops, and a row in the table of `table.py`.
 
 The materials of a scene become one table (`MaterialTable`) with a kind and a row of numbers for each part. Directions
 are unit vectors that point away from the surface, and `n` is the unit normal on the side of the incoming light.
@@ -7,21 +8,24 @@ Surfaces do not transmit: a direction below the surface gets no light.
 
 from datagen.transport.brdf.albedo import albedo
 from datagen.transport.brdf.directions import Vector, cosine_directions, dot, in_frame_of, sample_cosine
-from datagen.transport.brdf.models import evaluate, evaluate_at_most, pdf, sample
+from datagen.transport.brdf.models import evaluate, evaluate_at_most, pdf, sample, widen
 from datagen.transport.brdf.table import (
     GGX_LOBE,
     LAMBERTIAN,
+    MODELS,
     OREN_NAYAR,
     PHONG,
     RETROREFLECTOR,
     SIN_LOBE,
     Materials,
     MaterialTable,
+    lobe_width,
 )
 
 __all__ = [
     "GGX_LOBE",
     "LAMBERTIAN",
+    "MODELS",
     "OREN_NAYAR",
     "PHONG",
     "RETROREFLECTOR",
@@ -35,7 +39,9 @@ __all__ = [
     "evaluate",
     "evaluate_at_most",
     "in_frame_of",
+    "lobe_width",
     "pdf",
     "sample",
     "sample_cosine",
+    "widen",
 ]

@@ -1,8 +1,9 @@
-"""Vectors as tuples: scalar product, frames about a normal, cosine-distributed directions."""
+"""Vectors as tuples: scalar product, frames about a normal, cosine-distributed directions; integrals over angles."""
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from datagen.compiled import compiled, subroutine
 from datagen.records.arrays import Floats
 
 Vector = tuple[float, float, float]
+
+GRAZING = 1e-9
+"""Least cosine of incidence where a closed form divides by the cosine."""
 
 
 @compiled(inline="always")
@@ -65,3 +69,19 @@ def cosine_directions(normals: Floats, points: Floats) -> Floats:
         n = (normals[i, 0], normals[i, 1], normals[i, 2])
         out[i, 0], out[i, 1], out[i, 2] = sample_cosine(n, points[i, 0], points[i, 1])
     return out
+
+
+@lru_cache(maxsize=16)
+def unit_gauss(count: int) -> Floats:
+    """(2, count): Gauss–Legendre nodes on 0 … 1 and weights that sum to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    gauss = np.stack([0.5 * (nodes + 1), 0.5 * weights])
+    gauss.flags.writeable = False
+    return gauss
+
+
+def positive_part_over_azimuth(a: Floats, b: Floats) -> Floats:
+    """The integral ∫ max(a + b cosφ, 0) dφ over a full turn, for arrays a and b ≥ 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge = np.arccos(np.clip(np.where(b > 0, -a / b, np.where(a > 0, -1.0, 1.0)), -1.0, 1.0))
+    return np.asarray(2 * (a * edge + b * np.sin(edge)))

@@ -23,7 +23,8 @@ import numpy as np
 
 from datagen.compiled import compiled, subroutine
 from datagen.records.arrays import Floats
-from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of
+from datagen.records.materials import GGX
+from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of, unit_gauss
 
 PANELS = 32
 """Panels of the table, with a parabola in each; half as many make interpolation about eight times less precise."""
@@ -33,6 +34,33 @@ FIRST_SHARE = FIRST_NODE + NODES
 MARGIN = 1e-4
 """Added to the tabulated E, more than interpolation can miss, so that the albedo never exceeds 1. Half of it would
 halve the light that this takes away, but may be less than interpolation misses."""
+
+
+def row(material: GGX) -> tuple[float, ...]:
+    """The numbers of a material's row that follow the albedo."""
+    alpha = float(material.roughness) ** 2
+    return alpha, material.f0, *white_table(alpha)
+
+
+def lobe_width_rad(material: GGX) -> float:
+    """Half width at half maximum of the lobe at normal incidence."""
+    return 1.3 * float(material.roughness) ** 2
+
+
+def share(material: GGX, cosine: Floats, azimuth_rad: Floats) -> Floats:
+    """Directional albedo of a material of albedo 1: single scattering by quadrature, multiple scattering from its
+    table."""
+    values = np.array([1.0, *row(material)])
+    gauss = unit_gauss(64)
+    single = [single_albedo(values[1], values[2], c, gauss) for c in cosine.ravel()]
+    lost = np.array([1 - tabulated(values, c) for c in cosine.ravel()])
+    return np.asarray((single + multiple_share(values[2], values[3]) * lost).reshape(cosine.shape))
+
+
+@subroutine()
+def widen(values: Floats, span: float) -> None:
+    """`models.widen` for GGX: rougher facets."""
+    values[1] = min(max(values[1], 0.5 * span), 1.0)
 
 
 @subroutine()
@@ -255,28 +283,19 @@ def single_albedo(alpha: float, f0: float, cos_in: float, gauss: Floats) -> floa
     return total
 
 
-@lru_cache(maxsize=16)
-def unit_gauss(count: int) -> Floats:
-    """(2, count): Gauss–Legendre nodes on 0 … 1 and weights that sum to 1."""
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    gauss = np.stack([0.5 * (nodes + 1), 0.5 * weights])
-    gauss.flags.writeable = False
-    return gauss
-
-
 @lru_cache(maxsize=256)
 def white_table(alpha: float) -> tuple[float, ...]:
     """The numbers of a row from the fourth on: Ē, E at the nodes, and running shares of the light that E loses."""
     gauss = unit_gauss(32)
     places = np.linspace(0.0, PANELS, NODES)
     table = [single_albedo(alpha, 1.0, _cosine_at(alpha, p), gauss) + MARGIN for p in places]
-    row = np.array([1.0, alpha, 1.0, 0.0, *table])
+    white = np.array([1.0, alpha, 1.0, 0.0, *table])
     # Ē = ∫ 2c E dc is taken of the interpolated E, so that both terms of the BRDF add up to albedo 1. Quadrature runs
     # panel by panel in the table's coordinate.
     x, weight = unit_gauss(8)
     within = (np.arange(PANELS)[:, None] + x) / PANELS
     cosines = alpha * within**2 / (1.0 + alpha - within**2)
     cells = 2.0 * cosines * weight * 2.0 * alpha * (1.0 + alpha) * within / (1.0 + alpha - within**2) ** 2 / PANELS
-    lost = np.array([[1.0 - tabulated(row, c) for c in panel] for panel in cosines]) * cells
+    lost = np.array([[1.0 - tabulated(white, c) for c in panel] for panel in cosines]) * cells
     shares = np.cumsum(lost.sum(axis=1)) / lost.sum()
     return (1.0 - float(lost.sum()), *(float(v) for v in table), *(float(v) for v in shares))

@@ -1,4 +1,4 @@
-"""evaluate, pdf and sample of any material, by its kind.
+"""evaluate, evaluate_at_most, pdf, sample and widen of any material, by its kind. Unknown kinds raise `ValueError`.
 
 A loop that contains a call to a model other than Lambert's law runs at half the speed, even if it never makes the
 call, and takes longer to compile. So the type of `kind` tells the compiler which models can occur: `MaterialTable`
@@ -18,10 +18,12 @@ from datagen.compiled import compiled, subroutine
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
-from datagen.transport.brdf.table import GGX_LOBE, LAMBERTIAN, OREN_NAYAR, PHONG, SIN_LOBE
+from datagen.transport.brdf.table import GGX_LOBE, LAMBERTIAN, OREN_NAYAR, PHONG, RETROREFLECTOR, SIN_LOBE
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+UNKNOWN = "a kind of BRDF that models.py does not call"
 
 
 @compiled(inline="always")
@@ -82,6 +84,14 @@ def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: floa
     return _other_sample(kind, values, n, w_in, dot(n, w_in), u, v)
 
 
+@subroutine()
+def widen(kind: int, values: Floats, span: float) -> None:
+    """Widen the lobe of a material, in its row, to directions that vary by the angle `span`, rad, as a lobe may miss
+    the middle of a piece of surface and still be bright elsewhere on it. What has no lobe stays as it is."""
+    if kind != LAMBERTIAN:
+        _other_widened(kind, values, span)
+
+
 @compiled()
 def _evaluate_other(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
@@ -94,7 +104,9 @@ def _evaluate_other(
         return oren_nayar.evaluate(values, w_in, w_out, cos_in, cos_out)
     if kind == GGX_LOBE:
         return ggx.evaluate(values, w_in, w_out, cos_in, cos_out)
-    return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
+    if kind == RETROREFLECTOR:
+        return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
+    raise ValueError(UNKNOWN)
 
 
 @compiled()
@@ -109,10 +121,12 @@ def _other_evaluated_at_most(
     if kind == PHONG:
         return phong.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
     if kind == OREN_NAYAR:
-        return oren_nayar.evaluate(values, w_in, w_out, cos_in, cos_out)
+        return oren_nayar.at_most(values, w_in, w_out, cos_in, cos_out)
     if kind == GGX_LOBE:
         return ggx.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
-    return retroreflector.at_most(values, w_in, w_out, cos_in, cos_out, turn)
+    if kind == RETROREFLECTOR:
+        return retroreflector.at_most(values, w_in, w_out, cos_in, cos_out, turn)
+    raise ValueError(UNKNOWN)
 
 
 @compiled()
@@ -131,7 +145,9 @@ def _pdf_other(
         return oren_nayar.pdf(values, cos_in, cos_out)
     if kind == GGX_LOBE:
         return ggx.pdf(values, w_in, w_out, cos_in, cos_out)
-    return retroreflector.pdf(values, w_in, w_out, cos_out)
+    if kind == RETROREFLECTOR:
+        return retroreflector.pdf(values, w_in, w_out, cos_out)
+    raise ValueError(UNKNOWN)
 
 
 @compiled()
@@ -146,7 +162,25 @@ def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: fl
         return oren_nayar.sample(values, n, cos_in, u, v)
     if kind == GGX_LOBE:
         return ggx.sample(values, n, w_in, cos_in, u, v)
-    return retroreflector.sample(values, n, w_in, u, v)
+    if kind == RETROREFLECTOR:
+        return retroreflector.sample(values, n, w_in, u, v)
+    raise ValueError(UNKNOWN)
+
+
+@compiled()
+def _widen_other(kind: int, values: Floats, span: float) -> None:
+    if kind == SIN_LOBE:
+        sin_lobe.widen(values, span)
+    elif kind == PHONG:
+        phong.widen(values, span)
+    elif kind == OREN_NAYAR:
+        oren_nayar.widen(values, span)
+    elif kind == GGX_LOBE:
+        ggx.widen(values, span)
+    elif kind == RETROREFLECTOR:
+        retroreflector.widen(values, span)
+    else:
+        raise ValueError(UNKNOWN)
 
 
 def _unless_lambertian(answer: Callable[P, R], otherwise: Callable[..., R]) -> Callable[P, R]:
@@ -166,3 +200,4 @@ _other_brdf = _unless_lambertian(_evaluate_other, lambda kind, *arguments: 0.0)
 _other_at_most = _unless_lambertian(_other_evaluated_at_most, lambda kind, *arguments: 0.0)
 _other_pdf = _unless_lambertian(_pdf_other, lambda kind, *arguments: 0.0)
 _other_sample = _unless_lambertian(_sample_other, lambda kind, values, n, *arguments: n)
+_other_widened = _unless_lambertian(_widen_other, lambda kind, *arguments: None)

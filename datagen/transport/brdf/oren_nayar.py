@@ -13,14 +13,32 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from datagen.compiled import compiled, subroutine
 from datagen.records.arrays import Floats
+from datagen.records.materials import OrenNayar
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
 
 LOSS = 0.5 - 2.0 / (3.0 * math.pi)
 """The coefficient of r in 1/A, a number of the model."""
 MEAN_GAIN = 2.0 / 3.0 - 28.0 / (15.0 * math.pi)
 """The coefficient of r in Ē / A, a number of the model."""
+
+
+def row(material: OrenNayar) -> tuple[float, ...]:
+    """The numbers of a material's row that follow the albedo."""
+    return (roughness(material.sigma_rad),)
+
+
+def lobe_width_rad(material: OrenNayar) -> float:
+    """Infinite: a matt surface has no lobe."""
+    return math.inf
+
+
+def share(material: OrenNayar, cosine: Floats, azimuth_rad: Floats) -> Floats:
+    """Directional albedo of a material of albedo 1: 1 at every incidence."""
+    return np.ones_like(cosine)
 
 
 def roughness(sigma_rad: float) -> float:
@@ -50,6 +68,17 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     lost = 1.0 - (1.0 + MEAN_GAIN * r) / (1.0 + LOSS * r)
     multiple = (1.0 - single_albedo(r, cos_in)) * (1.0 - single_albedo(r, cos_out)) / lost if lost > 1e-12 else 0.0
     return float(values[0] / math.pi * (single + multiple))
+
+
+@subroutine()
+def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+    """`models.evaluate_at_most` for OrenNayar, which has no lobe that could be missed."""
+    return float(evaluate(values, w_in, w_out, cos_in, cos_out))
+
+
+@subroutine()
+def widen(values: Floats, span: float) -> None:
+    """`models.widen` for OrenNayar: nothing to widen."""
 
 
 @subroutine()

@@ -4,9 +4,62 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from datagen.compiled import subroutine
 from datagen.records.arrays import Floats
-from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
+from datagen.records.materials import Phong
+from datagen.transport.brdf.directions import (
+    Vector,
+    around,
+    dot,
+    positive_part_over_azimuth,
+    sample_cosine,
+    unit_gauss,
+)
+
+
+def row(material: Phong) -> tuple[float, ...] | None:
+    """The numbers of a material's row that follow the albedo; None for exponent 0, which is Lambert's law."""
+    return (material.exponent, material.specular) if material.exponent > 0 else None
+
+
+def lobe_width_rad(material: Phong) -> float:
+    """Half width at half maximum of the lobe; infinite without one."""
+    if material.exponent == 0 or material.specular == 0:
+        return math.inf
+    return math.sqrt(2 * math.log(2) / material.exponent)
+
+
+def share(material: Phong, cosine: Floats, azimuth_rad: Floats) -> Floats:
+    """Directional albedo of a material of albedo 1: a closed form in azimuth, and quadrature from the lobe's axis."""
+    return material.specular * _lobe_share(material.exponent, cosine) + 1 - material.specular
+
+
+def _lobe_share(exponent: float, cosine: Floats) -> Floats:
+    """Albedo (n + 2)/(2π) ∫ cosⁿα cosθ dω of a Phong lobe at some cosines of incidence.
+
+    The integral over α is split at the angle from which part of the lobe lies below the surface.
+    """
+    nodes, weights = unit_gauss(96)
+    sine = np.sqrt(1 - cosine**2)
+    # The lobe is constant in p = cos^(n+1) α. Easing moves nodes towards the ends of both pieces, where the integrand
+    # begins like a square root.
+    bend = sine ** (exponent + 1)
+    total = np.zeros_like(cosine)
+    for x, weight in zip(nodes, weights, strict=True):
+        eased, slope = x * x * (3 - 2 * x), 6 * x * (1 - x)
+        for p, share in ((bend + (1 - bend) * eased, (1 - bend) * slope), (bend * eased, bend * slope)):
+            from_mirror = p ** (1 / (exponent + 1))
+            across = np.sqrt(np.maximum(1 - from_mirror**2, 0.0))
+            total += weight * share * positive_part_over_azimuth(from_mirror * cosine, across * sine)
+    return (exponent + 2) / (exponent + 1) / (2 * np.pi) * total
+
+
+@subroutine()
+def widen(values: Floats, span: float) -> None:
+    """`models.widen` for Phong: a lower exponent."""
+    values[1] = min(values[1], 1.0 / (span * span))
 
 
 @subroutine()

@@ -4,14 +4,64 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from datagen.compiled import subroutine
 from datagen.records.arrays import Floats
-from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
+from datagen.records.materials import Retroreflector
+from datagen.transport.brdf.directions import (
+    GRAZING,
+    Vector,
+    around,
+    dot,
+    positive_part_over_azimuth,
+    sample_cosine,
+    unit_gauss,
+)
+
+
+def row(material: Retroreflector) -> tuple[float, ...]:
+    """The numbers of a material's row that follow the albedo."""
+    return concentration(material.half_width_rad), material.retro
+
+
+def lobe_width_rad(material: Retroreflector) -> float:
+    """Half width at half maximum of the lobe; infinite without one."""
+    return float(material.half_width_rad) if material.retro > 0 else math.inf
+
+
+def share(material: Retroreflector, cosine: Floats, azimuth_rad: Floats) -> Floats:
+    """Directional albedo of a material of albedo 1: a closed form in azimuth, and quadrature from the lobe's axis."""
+    return material.retro * _lobe_share(material.half_width_rad, cosine) + 1 - material.retro
+
+
+def _lobe_share(half_width_rad: float, cosine: Floats) -> Floats:
+    """Albedo ∫ D min(1, cosθ_out / cosθ_in) dω of a retroreflector's lobe at some cosines of incidence.
+
+    The minimum is the difference of two positive parts, max(cosθ_out, 0) and max(cosθ_out − cosθ_in, 0).
+    """
+    kappa = concentration(half_width_rad)
+    cosine = np.maximum(cosine, GRAZING)
+    sine = np.sqrt(1 - cosine**2)
+    total = np.zeros_like(cosine)
+    for u, weight in zip(*unit_gauss(512), strict=True):
+        one_minus_cos = -np.log1p(u * np.expm1(-2 * kappa)) / kappa
+        along, across = (1 - one_minus_cos) * cosine, np.sqrt(one_minus_cos * (2 - one_minus_cos)) * sine
+        reached = positive_part_over_azimuth(along, across)
+        excess = positive_part_over_azimuth(along - cosine, across)
+        total += weight * (reached - excess) / (2 * np.pi * cosine)
+    return total
 
 
 def concentration(half_width_rad: float) -> float:
     """κ for which exp(κ (cos w − 1)) = 1/2 at the half width w."""
     return math.log(2.0) / (2.0 * math.sin(half_width_rad / 2.0) ** 2)
+
+
+@subroutine()
+def widen(values: Floats, span: float) -> None:
+    """`models.widen` for retroreflectors: a lower concentration."""
+    values[1] = min(values[1], 1.0 / (span * span))
 
 
 @subroutine()

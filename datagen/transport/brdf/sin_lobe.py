@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from datagen.compiled import subroutine
 from datagen.records.arrays import Floats
+from datagen.records.materials import SinLobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
 MEAN_SINE = 2.0 / math.pi
@@ -13,6 +16,26 @@ MEAN_SINE = 2.0 / math.pi
 ALONG_SQUARED = 1e-12
 """Squared length of a projection on the surface below which its direction counts as rounding noise and the azimuth as
 undefined; half of it moves that limit to directions closer to the normal by 1/√2."""
+
+
+def row(material: SinLobe) -> tuple[float, ...]:
+    """The numbers of a material's row that follow the albedo."""
+    return material.axis
+
+
+def lobe_width_rad(material: SinLobe) -> float:
+    """Infinite: the lobe is as wide as the hemisphere."""
+    return math.inf
+
+
+def share(material: SinLobe, cosine: Floats, azimuth_rad: Floats) -> Floats:
+    """Directional albedo of a material of albedo 1: |sin θ_in|."""
+    return np.abs(np.sin(azimuth_rad))
+
+
+@subroutine()
+def widen(values: Floats, span: float) -> None:
+    """`models.widen` for SinLobe: nothing to widen."""
 
 
 @subroutine()

@@ -31,7 +31,6 @@ from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
-from datagen.transport.visibility.coincidence import lit_in_one_place
 from datagen.units import time_from_path
 
 PAIRS, SAMPLES, SHARE = (128, 1024), 16, 0.04
@@ -83,8 +82,6 @@ class Opinion:
     sigmas : standard errors by which the difference exceeds the claimed error; negative if it does not.
     missing : sampled minus computed photons.
     samples : number of samples over all looks.
-    undecided : whether samples disagree in a scene with lit parts in one place, of which elements may see one part
-        and rays the other.
     """
 
     agrees: bool
@@ -93,12 +90,10 @@ class Opinion:
     known: float
     sigmas: float
     samples: int
-    undecided: bool = False
     missing: float = 0.0
 
     def __str__(self) -> str:
         verdict = "agrees" if self.agrees else "disagrees"
-        verdict = "undecided, for parts lie in one place" if self.undecided else verdict
         return f"{verdict}: of {self.samples} samples, farthest off {self.worst}, {self.off:+.1%} ± {self.known:.1%}"
 
 
@@ -116,14 +111,7 @@ def second_opinion(problem: Problem, claims: Mapping[str, Claim], cost: float = 
     second = _look(problem, claims, max(MORE * PAIRS[0], 4 * count), order, 2 * turn + 1)
     tests = (WINDOWS + 1) * len(claims)
     agrees = second.sigmas <= -float(ndtri(LEVEL / (2 * tests)))
-    undecided = not agrees and lit_in_one_place(problem.scene, problem.caster, _lifted(problem))
-    return replace(second, agrees=agrees or undecided, undecided=undecided, samples=first.samples + second.samples)
-
-
-def _lifted(problem: Problem) -> Floats:
-    """(n, 3) laser points that lie on a surface, lifted off it a little so that rays from them do not meet it."""
-    lit = problem.points.part >= 0
-    return problem.points.position[lit] + problem.caster.offset_m * problem.points.normal[lit]
+    return replace(second, agrees=agrees, samples=first.samples + second.samples)
 
 
 def _look(problem: Problem, claims: Mapping[str, Claim], count: int, last_order: int, look: int) -> Opinion:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from datagen.records.arrays import Bools, Floats
+from datagen.transport.brdf import lobe_width
 from datagen.transport.error_control.confidence import Scatter, disagreement, total_variance
 from datagen.transport.error_control.cost import Work
 from datagen.transport.error_control.surroundings import CONTACT, surroundings
@@ -15,7 +16,6 @@ from datagen.transport.fields_of_view import PixelPatches
 from datagen.transport.path_tracing.averages import Average, path_average
 from datagen.transport.path_tracing.replicate_spread import Sketch
 from datagen.transport.problem import Problem
-from datagen.transport.quadrature.gathering import lobe_width
 
 CONVERGENCE = 1.25
 """α in variance ∝ n^−α, from which the size of a round follows: 1 for independent samples, up to 3 for smooth

@@ -207,8 +207,11 @@ def _level(
         n = len(runs)
         runs.append(scan.light(tried, n, patches, PAIR * FINER**n * scale))
         histograms.append(root * runs[-1].histogram)
-        own_applies = runs[-1].photons @ weight >= faint
-        wanted = min(limit, own * l2_norm(histograms[-1])) if own_applies else limit
+        # Coarse elements reach into a window that ends before the light: where finer ones do not, it has no light of
+        # its own to which an error could be relative.
+        norm = l2_norm(histograms[-1])
+        own_applies = norm > 0.0 and runs[-1].photons @ weight >= faint
+        wanted = min(limit, own * norm) if own_applies else limit
         if n == 0:
             continue
         if n == 1:
@@ -262,7 +265,10 @@ def _to_reach(errors: Floats, wanted: float) -> tuple[float, float]:
 
 
 def _cost_at(costs: list[float], level: float) -> float:
-    """Cost of a level, interpolated between the costs of levels 0 … n − 1 or extrapolated by `GROWTH`."""
+    """Cost of a level, interpolated between the costs of levels 0 … n − 1 or extrapolated by `GROWTH`; infinite for
+    the level of no error at all."""
+    if level == math.inf:
+        return math.inf
     known = min(math.floor(level), len(costs) - 1)
     growth = costs[known + 1] / costs[known] if known + 1 < len(costs) else GROWTH
     return float(costs[known] * growth ** (level - known))

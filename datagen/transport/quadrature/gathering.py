@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.records.materials import GGX, Lambertian, Material, Phong, Retroreflector
+from datagen.records.materials import Lambertian
 from datagen.seeding import LightStream
+from datagen.transport.brdf import lobe_width
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
 from datagen.transport.quadrature.footprints import Patches, at_edges
@@ -343,15 +344,3 @@ class Gathering:
 def patches_of(task: Problem, pixels: Ints, levels: int) -> Patches:
     """The footprints of the pixels with the given indices, quartered at most `levels` times."""
     return Patches.of(task.caster, task.scene, task.capture.sensor, task.cones, pixels, levels, task.seed)
-
-
-def lobe_width(material: Material) -> float:
-    """Half width of a BRDF's narrowest lobe, rad, at most 1."""
-    match material:
-        case Phong(exponent=exponent) if exponent > 0 and material.specular > 0:
-            return min(math.sqrt(2 * math.log(2) / exponent), 1.0)
-        case GGX():
-            return min(1.3 * float(material.roughness) ** 2, 1.0)
-        case Retroreflector() if material.retro > 0:
-            return min(float(material.half_width_rad), 1.0)
-    return 1.0

@@ -1,49 +1,168 @@
-"""Whether surfaces of different parts lie in the same place, so that it is not defined which of them light meets.
+"""Surfaces of different parts in one place: the scene in which one of them lies on the other, for every way alike.
 
-Surface elements take the part that comes last in the scene, as a poster hangs on a wall; rays meet one or the other,
-by rounding.
+Where two surfaces coincide, rays meet one or the other by rounding, and surface elements of both would be lit. So the
+part that lies on the other is moved off it, by a hair (`LIFT`), to the side that light comes from: from then on it is
+met first by all rays, and hides the other from all elements. Objects lie on walls, floor and ceiling; of two parts of
+one role that comes later in the scene lies on the other, as a poster hangs on a wall.
+
+Where no light gets to, as between the bottom of a box and the floor, nothing is moved.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats
+from datagen.records import Capture, Scene
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.visibility.raycast import Raycaster
 
 PLANE, APART = 1e-6, 1e-7
 """Distance between two planes up to which they count as one, and depth of an overlap in the plane up to which
-triangles only touch; both relative to the scene's largest side. With half of them, surfaces that rays of single
-precision confuse are less surely found."""
-PAIRS, LOOKED_FROM = 64, 16
-"""Most pairs of triangles of two parts that are tried in a plane, and most laser points: half of them still find a
-shared surface of which a tenth is lit."""
+triangles only touch; both relative to the scene's largest side. Rays of single precision confuse such planes."""
+LIFT = 3.0
+"""Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room of
+10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
+PAIRS, PLACES, LOOKED_FROM, RAYS = 64, 16, 16, 16
+"""Most pairs of triangles of two parts that are tried in a plane, most places where light is looked for in it, most
+laser points that it is looked for from, and rays from each place that meet surfaces which may pass it on. They decide
+about places that are lit at all; a shared surface of which a tenth is lit is still found with half of each."""
 
 
-def lit_in_one_place(scene: Scene, caster: Raycaster, laser_points: Floats) -> bool:
-    """Whether surfaces of two parts lie in the same place, and one of the laser points (L, 3) lights that place.
+@dataclass(frozen=True)
+class Shared:
+    """A plane in which triangles of two parts overlap.
 
-    The bottom of a box that stands on a floor lies on the floor, too, but no light gets there: this does not count.
+    Attributes
+    ----------
+    one, two : the parts' indices. ones, twos : their triangles in the plane.
+    places : (n, 3) places within both, metres. normal : (3,) unit normal of the plane.
     """
-    places, normals = places_shared(scene)
-    points = laser_points[np.linspace(0, len(laser_points) - 1, min(len(laser_points), LOOKED_FROM)).astype(int)]
-    # Light may come from either side of the plane.
-    for side in (1.0, -1.0):
-        ends = np.tile(places + side * 2 * caster.offset_m * normals, (len(points), 1))
-        if len(ends) and not caster.occluded(np.repeat(points, len(places), axis=0), ends).all():
-            return True
-    return False
+
+    one: int
+    two: int
+    ones: Ints
+    twos: Ints
+    places: Floats
+    normal: Floats
 
 
-def places_shared(scene: Scene) -> tuple[Floats, Floats]:
-    """(n, 3) places, metres, where triangles of two parts lie in one plane and overlap in more than an edge; and
-    (n, 3) unit normals of the plane there.
+@dataclass(frozen=True)
+class Apart:
+    """A scene whose parts do not coincide where light gets to.
+
+    Attributes
+    ----------
+    scene : the scene, the given one if nothing was moved.
+    lying : (part, part that it lies on), each pair once.
+    """
+
+    scene: Scene
+    lying: tuple[tuple[str, str], ...]
+
+    @property
+    def warning(self) -> str:
+        """A line for users; "" if nothing coincides."""
+        if not self.lying:
+            return ""
+        upper, lower = self.lying[0]
+        more = f" (and {len(self.lying) - 1} more pairs of parts)" if len(self.lying) > 1 else ""
+        return (
+            f"parts {upper!r} and {lower!r} lie in one place{more}: {upper!r} is taken to lie on {lower!r}; move them "
+            "apart by a millimetre, or cut one out of the other, if it is meant otherwise"
+        )
+
+
+def set_apart(scene: Scene, capture: Capture) -> Apart:
+    """The scene of a capture, its parts moved off the parts that they coincide with, where light gets to."""
+    shared = list(shared_planes(scene))
+    if not shared:
+        return Apart(scene, ())
+    caster = Raycaster(scene)
+    sources = _sources(caster, capture)
+    vertices, triangles = scene.vertices, np.array(scene.triangles)
+    # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
+    level, moves, lying = np.zeros(len(triangles), np.int64), list[tuple[int, Ints, Floats]](), list[tuple[str, str]]()
+
+    def rank(part: int) -> tuple[bool, int]:
+        return scene.roles[part] == "object", part
+
+    in_order = sorted(shared, key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
+    for plane in in_order:
+        of_one = rank(plane.one) > rank(plane.two)
+        upper, lower = (plane.one, plane.two) if of_one else (plane.two, plane.one)
+        rows, below = (plane.ones, plane.twos) if of_one else (plane.twos, plane.ones)
+        lit = [_lit(caster, plane, side, sources) for side in (1.0, -1.0)]
+        if not any(lit):
+            continue
+        height = int(level[below].max()) + 1
+        level[rows] = np.maximum(level[rows], height)
+        side = 1.0 if lit[0] >= lit[1] else -1.0
+        moves.append((upper, rows, side * height * LIFT * caster.offset_m * plane.normal))
+        pair = scene.part_names[upper], scene.part_names[lower]
+        lying += [pair] if pair not in lying else []
+    if not moves:
+        return Apart(scene, ())
+    shift = np.zeros((len(vertices), 3))
+    for part in sorted({part for part, _, _ in moves}):
+        own = np.flatnonzero(scene.face_part == part)
+        used, index = np.unique(triangles[own], return_inverse=True)
+        triangles[own] = (len(vertices) + index).reshape(-1, 3)
+        # Vertices of its own, as those of a part below must stay.
+        vertices, shift = np.concatenate([vertices, vertices[used]]), np.concatenate([shift, np.zeros((len(used), 3))])
+    for _, rows, move in moves:
+        moved = np.unique(triangles[rows])
+        length = float(np.linalg.norm(move))
+        # A plane may have been found twice, and a corner lies in several planes.
+        missing = length - shift[moved] @ (move / length)
+        shift[moved] += np.maximum(missing, 0.0)[:, None] * (move / length)
+    return Apart(replace(scene, vertices=vertices + shift, triangles=triangles), tuple(lying))
+
+
+def _sources(caster: Raycaster, capture: Capture) -> Floats:
+    """(n, 3) places that light comes from or goes to: the device, and some laser points, lifted off their surface."""
+    targets = capture.laser.targets
+    some = targets[np.linspace(0, len(targets) - 1, min(len(targets), LOOKED_FROM)).astype(int)]
+    hits = caster.closest(capture.laser.position, some - capture.laser.position)
+    lifted = (hits.position + caster.offset_m * hits.normal)[hits.valid]
+    return np.concatenate([lifted, capture.laser.position[None], capture.sensor.position[None]])
+
+
+def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
+    """How many lines lead from a side of a plane to the sources of light, directly or by one surface in between."""
+    places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
+    starts = places + 2.0 * side * caster.offset_m * plane.normal
+    direct = _seen(caster, starts, sources)
+    hits = caster.closest(np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    beyond = (hits.position + caster.offset_m * hits.normal)[hits.valid]
+    return direct + _seen(caster, beyond, sources)
+
+
+def _seen(caster: Raycaster, places: Floats, sources: Floats) -> int:
+    """How many pairs of a place (n, 3) and a source (m, 3) see each other."""
+    starts = np.repeat(places, len(sources), axis=0)
+    return int(np.count_nonzero(~caster.occluded(starts, np.tile(sources, (len(places), 1)))))
+
+
+def _hemisphere(normal: Floats) -> Floats:
+    """(RAYS, 3) directions about a normal, evenly spread over heights and azimuths."""
+    height = (np.arange(RAYS) + 0.5) / RAYS
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(RAYS)
+    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    right /= np.linalg.norm(right)
+    across = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * np.cross(normal, right)
+    return np.asarray(height[:, None] * normal + np.sqrt(1.0 - height**2)[:, None] * across)
+
+
+def shared_planes(scene: Scene) -> Iterator[Shared]:
+    """The planes in which triangles of two parts overlap in more than an edge, for each two parts.
 
     At most `PAIRS` pairs of triangles of each two parts are tried in each plane; each pair gives four or more places.
+    A plane may come twice.
     """
     corners, part = scene.corners, np.asarray(scene.face_part)
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
@@ -55,22 +174,32 @@ def places_shared(scene: Scene) -> tuple[Floats, Floats]:
     normal *= np.sign(normal[np.arange(len(axis)), axis])[:, None]
     offset = np.einsum("nk,nk->n", normal, corners[:, 0] - (low + high) / 2) / extent
     plane = np.column_stack([normal, offset]) / PLANE
-    places_found, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     # Triangles are grouped into planes by rounding, and again by rounding half a step further on, so that no plane
     # is split both times.
     for shift in (0.0, 0.5):
-        _, group = np.unique(np.floor(plane + shift).astype(np.int64), axis=0, return_inverse=True)
-        order = np.argsort(group.ravel(), kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(group.ravel()[order])) + 1):
+        for rows in _of_several_parts(np.floor(plane + shift).astype(np.int64), part):
+            # Along the axis that the plane faces most, its triangles are projected without becoming needles.
+            flat = np.delete(corners[rows], axis[rows[0]], axis=2) / extent
             for one, two in itertools.combinations(np.unique(part[rows]), 2):
-                # Along the axis that the plane faces most, its triangles are projected without becoming needles.
-                flat = np.delete(corners, axis[rows[0]], axis=2) / extent
-                ones, twos = rows[part[rows] == one], rows[part[rows] == two]
-                for i, j in _overlapping(flat[ones], flat[twos]):
-                    places = _common(corners[ones[i]], corners[twos[j]], normal[ones[i]])
-                    places_found.append(places)
-                    normals.append(np.broadcast_to(normal[ones[i]], places.shape))
-    return np.concatenate(places_found), np.concatenate(normals)
+                ones, twos = np.flatnonzero(part[rows] == one), np.flatnonzero(part[rows] == two)
+                places = [
+                    _common(corners[rows[ones[i]]], corners[rows[twos[j]]], normal[rows[ones[i]]])
+                    for i, j in _overlapping(flat[ones], flat[twos])
+                ]
+                found = np.concatenate([np.zeros((0, 3)), *places])
+                if len(found):
+                    yield Shared(int(one), int(two), rows[ones], rows[twos], found, normal[rows[0]])
+
+
+def _of_several_parts(planes: Ints, part: Ints) -> Iterator[Ints]:
+    """The triangles of each of the `planes` (F, 4) in which triangles of more than one part lie."""
+    order = np.lexsort((part, *planes.T))
+    same_plane = (planes[order[1:]] == planes[order[:-1]]).all(axis=1)
+    group = np.append(0, np.cumsum(~same_plane))
+    several = np.unique(group[1:][same_plane & (part[order[1:]] != part[order[:-1]])])
+    for number in several:
+        first, last = np.searchsorted(group, [number, number + 1])
+        yield np.sort(order[first:last])
 
 
 def _overlapping(ones: Floats, twos: Floats) -> list[tuple[int, int]]:
