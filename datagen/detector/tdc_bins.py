@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, uniform_of_pixels
 from datagen.detector.random_numbers import Stream, binomial
 from datagen.detector.spad import Spad
@@ -167,7 +167,7 @@ class TdcBins:
         return np.ascontiguousarray(np.broadcast_to(numbers, leading)).reshape(-1)
 
 
-@subroutine()
+@compiled()
 def _overlap(low: float, high: float, edges: Floats, k: int) -> float:
     """Share of the interval `low … high` in TDC bin k."""
     return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))

@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 from numba import types
 from numba.extending import overload
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
@@ -71,7 +71,7 @@ def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> fl
     return _other_pdf(kind, values, n, w_in, w_out, dot(n, w_in), cos_out)
 
 
-@subroutine()
+@compiled()
 def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A unit direction `w_out` drawn with density `pdf` from a point (u, v) of the unit square.
 

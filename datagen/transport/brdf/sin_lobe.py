@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
@@ -15,7 +15,7 @@ ALONG_SQUARED = 1e-12
 undefined; half of it moves that limit to directions closer to the normal by 1/√2."""
 
 
-@subroutine()
+@compiled()
 def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     """|sin θ| of the azimuth θ of `w` about the normal, measured from the projection of `axis` on the surface."""
     # By the projections of `axis` and `w`: the sine follows from their vector product without a trigonometric
@@ -30,14 +30,14 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     return min(abs(dot(cross, n)) / math.sqrt(tt * pp), 1.0)
 
 
-@subroutine()
+@compiled()
 def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
     return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
-@subroutine()
+@compiled()
 def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float) -> float:
     """`models.evaluate_at_most` for SinLobe."""
     # An azimuth turns by the turn of its direction, over the sine of the direction's polar angle.
@@ -49,13 +49,13 @@ def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float,
     return float(0.5 * values[0] * both)
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
-@subroutine()
+@compiled()
 def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])
