@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -85,12 +86,7 @@ class Detection:
         ambient_hz = self.spad.pde * self.exposure.ambient_rate_hz
         return ambient_hz + dark_count_rates(self.spad, self.transient.shape[1])
 
-    @property
-    def exceeds_period(self) -> bool:
-        """Whether the time axis is longer than the laser period, so that light is folded."""
-        return not self.counts_all and self.time.bins * self.time.width_s > self.exposure.period_s * (1 + 1e-9)
-
-    @property
+    @cached_property
     def unequal_bins(self) -> TdcBins | None:
         """The bins of the TDC, for records in whole bins of the time axis; None if they are equal."""
         if self.spad.tdc_bins_are_equal:
@@ -144,7 +140,7 @@ def _timing(given: Detection) -> Change:
     if moved < 1e-14:
         return Change(0.0, "bound", "far narrower than a bin")
     reason = f"it moves {1 - share:.2g} of the photons into other bins"
-    if moved > _MOST_MOVED or given.exceeds_period or (unequal is not None and spad.counter_max is not None):
+    if moved > _MOST_MOVED or (unequal is not None and spad.counter_max is not None):
         return Change(None, "bound", reason)
     light, background_hz = given.photons, given.background_hz
     most = shifted = 0.0
@@ -196,7 +192,7 @@ def _unequal_bins(given: Detection) -> Change:
     moved = math.sqrt(float((column * row).max()))
     reason = f"it moves up to {1 - kept.min():.2g} of a bin's records into other bins"
     cut = pieces_for(cycle_of(given.time, given.spad, given.exposure), given.spad) > 1
-    if given.exceeds_period or given.may_saturate(float(widths.max())) or (cut and given.caused > 0):
+    if given.may_saturate(float(widths.max())) or (cut and given.caused > 0):
         return Change(None, "bound", reason)
     if cut:
         most = given.dead_periods * given.events_per_cycle(float(given.transient.sum(axis=2).max()))
