@@ -25,7 +25,6 @@ help:
 	@echo "make smoke   one tiny scene from its configuration to a training batch, in seconds"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
-	@echo "make fresh   drop compiled kernels, after an edit of one that others call (make test does it, too)"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
 	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
@@ -65,11 +64,6 @@ types: setup
 
 tests: setup
 	$(BIN)/python -m pytest -n $(JOBS)
-
-# numba does not see that a kernel in another file has changed: its caches go, and are made again when needed.
-.PHONY: fresh
-fresh:
-	find datagen scene_library tests \( -name '*.nbi' -o -name '*.nbc' \) -delete
 
 format: setup
 	$(BIN)/ruff check --fix .

@@ -1,18 +1,80 @@
-"""Compiled kernels: `compiled` is `numba.njit` with the options that all kernels of this package share, `subroutine`
-the same for functions that only kernels call."""
+"""Compiled kernels: `compiled` is `numba.njit` with the options that all kernels of this package share.
+
+numba caches a kernel on disk and sees when its own file changes, not when a function that it calls from another file
+does: the kernel would go on computing what it computed before. So the files of the cache carry a digest of all
+sources in their names, and after any change of the sources kernels are compiled anew.
+"""
 
 from __future__ import annotations
 
-import gc
+import re
 from collections.abc import Callable
-from typing import Any, NoReturn, TypeVar, cast
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import event
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.dispatcher import Dispatcher
-from numba.core.registry import CPUDispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def digest_of_sources(root: Path) -> str:
+    """16 hex digits that another text or name of any Python file of the two packages in `root` changes.
+
+    Of contents, as times prove nothing: installers may set the same for all versions.
+    """
+    digest = sha256()
+    for package in ("datagen", "scene_library"):
+        for path in sorted((root / package).rglob("*.py")):
+            digest.update(path.relative_to(root).as_posix().encode())
+            digest.update(sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
+
+
+SOURCES = digest_of_sources(Path(__file__).parents[1])
+_CACHED = re.compile(r"-([0-9a-f]{16})(\.\d+)?\.nb[ic]")
+"""End of the name of a file of the cache: the digest, the number of the overload, numba's suffix."""
+
+
+class _NamedBySources(CompileResultCacheImpl):  # type: ignore[misc]
+    """What numba stores of a kernel, under a name that ends with the digest of the sources.
+
+    A digest in numba's stamp of the source, inside of the file, would not do: processes of two versions, such as a
+    long build and one begun after an upgrade, would then read and replace files of the same name.
+    """
+
+    def get_filename_base(self, fullname: str, abiflags: str) -> str:
+        """Beginning of the names of a kernel's files."""
+        return f"{super().get_filename_base(fullname, abiflags)}-{SOURCES}"
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """numba's cache of one function, beside its source, or in the user's cache folder where that is not writable."""
+
+    _impl_class = _NamedBySources
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Store what was compiled for a signature."""
+        _drop_others(self.cache_path)
+        super().save_overload(sig, data)
+
+
+@cache
+def _drop_others(folder: str) -> None:
+    """Delete the kernels in a folder that were compiled from other sources, once in a process.
+
+    numba copes with files that vanish: a process that still runs such sources compiles again.
+    """
+    for path in Path(folder).iterdir():
+        named = _CACHED.search(path.name)
+        if named and named[1] != SOURCES:
+            # Another process may be quicker.
+            with suppress(OSError):
+                path.unlink()
 
 
 def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
@@ -23,54 +85,16 @@ def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
     """
     # numba's type annotations do not know `no_cfunc_wrapper`.
     njit: Any = numba.njit
-    shared = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    return cast("Callable[[F], Dispatcher[F]]", njit(**shared | options))
-
-
-class _Subroutine(CPUDispatcher):
-    """A compiled function that Python cannot call: without its wrapper the process would crash."""
-
-    def __call__(self, *args: object, **named: object) -> NoReturn:
-        """Raise `TypeError`."""
-        raise TypeError(f"only compiled functions can call {self.py_func.__name__}; decorate it with `compiled`")
-
-
-def subroutine(**options: Any) -> Callable[[F], Dispatcher[F]]:
-    """`compiled` for functions that only compiled functions call. They have no wrapper for callers in Python, which
-    saves a sixth of the time of compiling; called from Python they raise `TypeError`."""
-    decorate = compiled(no_cpython_wrapper=True, **options)
+    shared = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
     def decorated(function: F) -> Dispatcher[F]:
-        dispatcher = decorate(function)
-        # numba has no option for the class of a dispatcher. With NUMBA_DISABLE_JIT the function comes back as it is.
-        if isinstance(dispatcher, CPUDispatcher):
-            dispatcher.__class__ = _Subroutine
-        return dispatcher
+        kernel = njit(**shared | options)(function)
+        # As `cache=True` does, with our names. With NUMBA_DISABLE_JIT the function comes back as it is.
+        if isinstance(kernel, Dispatcher):
+            kernel._cache = _Cache(function)
+        return cast("Dispatcher[F]", kernel)
 
     return decorated
-
-
-class _NoCollection(event.Listener):
-    """Stops the garbage collector while kernels are compiled: numba's trees live until a kernel is done, and to look
-    through them again and again takes a tenth of the time of compiling."""
-
-    depth, was_enabled = 0, False
-
-    def on_start(self, event: event.Event) -> None:
-        """Stop the collector where the first of nested compilations begins."""
-        if self.depth == 0:
-            self.was_enabled = gc.isenabled()
-            gc.disable()
-        self.depth += 1
-
-    def on_end(self, event: event.Event) -> None:
-        """Start the collector again, where it ran before, when the last of nested compilations ends."""
-        self.depth -= 1
-        if self.depth == 0 and self.was_enabled:
-            gc.enable()
-
-
-event.register("numba:compile", _NoCollection())  # type: ignore[no-untyped-call]
 
 
 @compiled()
@@ -79,6 +103,6 @@ def _smallest_kernel(x):  # type: ignore[no-untyped-def]
 
 
 def first_use() -> bool:
-    """Whether no process has compiled kernels since the installation: not even the smallest one is cached."""
+    """Whether no process has compiled kernels from these sources: not even the smallest one is cached."""
     _smallest_kernel(0)
     return bool(_smallest_kernel.stats.cache_misses)

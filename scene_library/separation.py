@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from datagen.compiled import compiled
 from scene_library.rounding import Floats
 
 
-@njit(cache=True)
+@compiled()
 def gap_between(a: Floats, b: Floats) -> float:
     """How far apart convex polygons (n, 2) and (m, 2) are along the best separating edge normal, metres.
 
@@ -18,7 +18,7 @@ def gap_between(a: Floats, b: Floats) -> float:
     return max(_along_normals(a, b), _along_normals(b, a))
 
 
-@njit(cache=True)
+@compiled()
 def stays_clear(footprint: Floats, triangles: Floats, margin_m: float) -> bool:
     """Whether a convex footprint (n, 2) has a gap of at least `margin_m` to each of (m, 3, 2) triangles.
 
@@ -39,7 +39,7 @@ def stays_clear(footprint: Floats, triangles: Floats, margin_m: float) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled()
 def _along_normals(a: Floats, b: Floats) -> float:
     """The largest gap between the two along a normal of an edge of `a`; an edge without length has none."""
     best = -np.inf
@@ -56,7 +56,7 @@ def _along_normals(a: Floats, b: Floats) -> float:
     return best
 
 
-@njit(cache=True)
+@compiled()
 def _extent(polygon: Floats, x: float, y: float) -> tuple[float, float]:
     low, high = np.inf, -np.inf
     for corner in polygon:

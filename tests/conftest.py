@@ -6,8 +6,6 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,24 +14,6 @@ from here_and_now import one_worker_here
 # Test processes are the parallelism, as workers are in a build; read when numpy is loaded, which is later.
 for _library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
-
-ROOT = Path(__file__).parents[1]
-
-
-def _drop_stale_kernels() -> None:
-    """numba compiles a cached kernel again when its own file changed, not when a function that it calls from another
-    file did: caches older than any source are deleted before a kernel is called. `make fresh` deletes all of them."""
-    packages = [ROOT / "datagen", ROOT / "scene_library"]
-    newest = max(path.stat().st_mtime for package in packages for path in package.rglob("*.py"))
-    # Kernels of tests call those of the package.
-    for cache in (path for package in (*packages, ROOT / "tests") for path in package.rglob("*.nb[ic]")):
-        # Another test process may be quicker.
-        with suppress(OSError):
-            if cache.stat().st_mtime < newest:
-                cache.unlink()
-
-
-_drop_stale_kernels()
 
 FIRST = (
     "equivalence/test_secondary.py",

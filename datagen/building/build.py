@@ -61,6 +61,8 @@ HOPELESS = 8
 """A build stops if all of its first `HOPELESS` scenes fail, because the others would fail likewise. Half as many
 failures could be chance where rooms are hard to furnish."""
 
+COMPILED_ONCE = "once after an installation or a change of the sources"
+
 
 @dataclass(frozen=True)
 class BuildResult:
@@ -197,12 +199,12 @@ def build(
 def _compile(engine: Engine, workers: int, sample: SampleFunction, config: DatasetConfig, shown: Progress) -> None:
     """Let one worker fill the cache of compiled kernels, or each of several would compile all of them."""
     if workers == 1:
-        shown.say("the first scene compiles, once after an installation")
+        shown.say(f"the first scene compiles, {COMPILED_ONCE}")
         return
     # An error of this scene shows when the scene is built.
     compiling = engine.submit(sample, config, 0)
     while not wait([compiling], TICK_S).done:
-        shown.doing("compiling, once after an installation")
+        shown.doing(f"compiling, {COMPILED_ONCE}")
 
 
 def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> None:

@@ -22,6 +22,7 @@ class Progress:
         self._total = self._done = self._at_start = 0
         # No line before `LINE_S`: bad input is refused sooner than that, and its error shall be the only line.
         self._line_due = self._began + LINE_S
+        self._printed = ""
         self._bar: Any = None
         # A dumb terminal would print the characters that move the bar.
         if shown and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
@@ -34,11 +35,11 @@ class Progress:
             self._bar = tqdm(unit="scene", leave=False, bar_format="{desc} [{elapsed}]", **size)
 
     def doing(self, what: str) -> None:
-        """Show what the command does, before the first scene or without any. Repeated calls keep the clock of the bar
-        running."""
+        """Show what the command does, before the first scene or without any: a line once, or the bar, whose clock
+        repeated calls keep running."""
         if self._bar is not None:
             self._bar.set_description_str(what)
-        elif time.monotonic() >= self._line_due:
+        elif time.monotonic() >= self._line_due and what != self._printed:
             self._line(what)
 
     def begin(self, total: int, done: int) -> None:
@@ -70,6 +71,7 @@ class Progress:
     def _line(self, line: str) -> None:
         """Print a line, and set the time at which the next one is due."""
         self.say(line)
+        self._printed = line
         now = time.monotonic()
         self._line_due = now + max(LINE_S, (now - self._began) / 20)
 

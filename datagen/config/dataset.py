@@ -16,6 +16,7 @@ from pydantic import Field, field_validator, model_validator
 from datagen.config.base import Settings, raise_input_error
 from datagen.config.capture import CaptureConfig, TimeConfig
 from datagen.config.detector import DetectorConfig
+from datagen.config.distributions import support
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scene import SceneConfig
@@ -109,6 +110,16 @@ class DatasetConfig(Settings):
                 f"detector.bins_merged = {merged} with capture.time.bins = {bins}: the bins must be a multiple "
                 f"of it; take {max(bins // merged, 1) * merged} bins"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _axis_within_the_period(self) -> Self:
+        if self.detector.repetition_rate_mhz is None:
+            return self
+        slowest, fastest = support(self.detector.repetition_rate_mhz)
+        if beyond := self.capture.time.axis().beyond_period(fastest * 1e6):
+            drawn = f"{fastest:g}" if slowest == fastest else f"{slowest:g} … {fastest:g}"
+            raise ValueError(f"detector.repetition_rate_mhz = {drawn} with capture.time: {beyond}")
         return self
 
     @property

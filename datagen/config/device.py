@@ -250,6 +250,13 @@ class DeviceConfig(Settings):
     folder: Annotated[str, Field(exclude=True)] = ""
     """Folder of the file that it was read from, where a map lies; not written, as it depends on the machine."""
 
+    @model_validator(mode="after")
+    def _axis_within_the_period(self) -> Self:
+        rate_mhz = self.counting.repetition_rate_mhz
+        if beyond := self.axis.merged(self.time.steps).beyond_period(rate_mhz * 1e6):
+            raise ValueError(f"counting.repetition_rate_mhz = {rate_mhz:g} with time: {beyond}")
+        return self
+
     @property
     def pairing(self) -> Pairing:
         """Which zones go with which points of light."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.detector.dead_time import Equilibrium, Pieces, fires_early
 from datagen.detector.random_numbers import Stream, binomial, exponential
 from datagen.records.arrays import Floats, Ints
@@ -142,7 +142,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
     return counts
 
 
-@subroutine()
+@compiled()
 def _return_windows(flux: Floats, edges: Floats, dead_time: float) -> tuple[Floats, Floats, Ints, Ints]:
     """(n,) probability q that an armed cycle fires in a piece; (n,) probability that a cycle which fired in it fires
     again while it returns, in pieces `first … after − 1`; (n,) `first` and (n,) `after`.
@@ -169,7 +169,7 @@ def _return_windows(flux: Floats, edges: Floats, dead_time: float) -> tuple[Floa
     return fires, soon, first, after
 
 
-@subroutine()
+@compiled()
 def _hazards(start: float, stop: float, first: int, flux: Floats, fires: Floats, edges: Floats, out: Floats) -> int:
     """Number of pieces, from `first` on, that overlap `start … stop`; `out` gets for each of them the probability
     that a cycle which returns at a uniform moment of `start … stop` fires there first.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -136,8 +137,8 @@ def detector_for(
 ) -> tuple[Spad, Exposure]:
     """Spad and exposure of scene `index`, drawn from the scene's own random stream.
 
-    With `time`, a repetition rate drawn from a class is lowered where the time axis would not fit into the laser
-    period, as an experimenter would do; a rate that the configuration gives is kept.
+    With `time`, a repetition rate that the configuration does not give is lowered where the time axis would not fit
+    into the laser period, as an experimenter would do.
 
     Raises `InputError` for a configuration that names no exposure but what it shall reach (`exposure_for`).
     """
@@ -152,8 +153,8 @@ def detector_for(
         name = sorted(DETECTOR_CLASSES)[int(rng.integers(len(DETECTOR_CLASSES)))]  # type: ignore[assignment]
     if name is not None:
         values |= draw_class_parameters(name, rng)
-        if time is not None:
-            values["repetition_rate_hz"] = min(values["repetition_rate_hz"], 1.0 / (time.bins * time.width_s))
+    if time is not None:
+        values["repetition_rate_hz"] = min(values["repetition_rate_hz"], 1.0 / (time.bins * time.width_s))
     for parameter, (key, unit, _) in _PARAMETERS.items():
         configured: Distribution | None = getattr(config, key)
         if configured is not None:
@@ -174,13 +175,19 @@ def detector_for(
             values[f"gate_{key}"] = draw(getattr(config.gate, gate), rng) * unit
     edges = config.tdc_edges_ps
     spad = Spad(
-        tdc_edges_s=None if edges is None else np.array(edges) * 1e-12,  # type: ignore[arg-type]
+        tdc_edges_s=None if edges is None else _in_seconds(edges),
         afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
         hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
         tdc_period_bins=config.tdc_period_bins, tdc_seed=int(rng.integers(2**62)) if values["tdc_dnl"] > 0 else 0,
         bins_merged=config.bins_merged, dark_count_factors=config.dark_count_factors, **values,
     )  # fmt: skip
     return spad, exposure
+
+
+@lru_cache(maxsize=1)
+def _in_seconds(edges_ps: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
+    """Edges in seconds, which all scenes of a configuration share: there may be a hundred thousand."""
+    return tuple(tuple(row) for row in (np.array(edges_ps) * 1e-12).tolist())
 
 
 def _pulse(config: DetectorConfig, rng: np.random.Generator) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 
@@ -138,7 +138,7 @@ def synchronous_mean(flux: Floats, edges_s: Floats, width_s: float, dead_time_s:
     return out.reshape(flux.shape)
 
 
-@subroutine()
+@compiled()
 def fires_early(x: float, low: float, high: float) -> float:
     """Probability that a diode fires in the piece of flux x within which it is armed again.
 
@@ -154,7 +154,7 @@ def fires_early(x: float, low: float, high: float) -> float:
     return float(1.0 - np.exp(-x * middle) * mean)
 
 
-@subroutine()
+@compiled()
 def _return_weights(start: float, stop: float, first: int, edges: Floats, flux: Floats, weights: Floats) -> int:
     """Number of pieces, from `first` on, at whose start a return that is uniform in `start … stop` counts as armed;
     their weights are put into `weights`.
@@ -250,7 +250,7 @@ def run_cycle(table: Table, armed: float, returning: Floats, following: Floats) 
     return detections, armed
 
 
-@subroutine()
+@compiled()
 def _edge_at(edges: Floats, index: int, m: int, period: float) -> float:
     """Seconds of edge number `index`, which may run past the end of the period."""
     return float(edges[index] if index <= m else edges[index - m] + period)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.detector.dead_time import Equilibrium
 from datagen.detector.flux import Cycle
 from datagen.detector.random_numbers import Stream, exponential, uniform
@@ -184,7 +184,7 @@ def _run(
         waiting = 1
 
 
-@subroutine()
+@compiled()
 def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, stream: Stream) -> int:
     """Number of pixels on `stack`, of which `waiting` are there already, once the neighbours that an avalanche of
     pixel `p` sets off are added."""
@@ -201,7 +201,7 @@ def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting
     return waiting
 
 
-@subroutine()
+@compiled()
 def _fill_inverse(flux: Floats, cumulative: Floats, guide: Ints) -> None:
     """Fill in `cumulative` (n + 1,), the flux Λ before each bin, and `guide` (n,), the bins in which Λ reaches the
     shares 0, 1/n, 2/n, … of the whole: there the search for a value of Λ starts."""
@@ -215,7 +215,7 @@ def _fill_inverse(flux: Floats, cumulative: Floats, guide: Ints) -> None:
         guide[k] = j
 
 
-@subroutine()
+@compiled()
 def _bin_of(edges: Floats, phase: float) -> int:
     """Number of the bin in which a phase lies, by bisection."""
     low, high = 0, len(edges) - 1
@@ -228,7 +228,7 @@ def _bin_of(edges: Floats, phase: float) -> int:
     return low
 
 
-@subroutine()
+@compiled()
 def _next_photon(
     cumulative: Floats, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
 ) -> tuple[int, float, int]:
@@ -268,7 +268,7 @@ def _next_photon(
     return cycle, at, j
 
 
-@subroutine()
+@compiled()
 def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
     """(cycle, phase) at which a diode is armed again whose dead time ends at `phase`, perhaps beyond the period, of
     `cycle`: a synchronous one at the start of the next cycle at the latest."""
@@ -280,7 +280,7 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
     return cycle, phase
 
 
-@subroutine()
+@compiled()
 def _release(
     next_cycle: int, next_phase: float, j: int, cycle: int, phase: float, e: float, left: float, time: float,
     period: _Period, stream: Stream,

@@ -38,8 +38,7 @@ class Cycle:
         the lattice of the TDC (multiples of the bin width). Then come long background bins, if any. The last `back`
         bins are on the lattice before phase 0.
     gate : (n,) mean sensitivity of each bin, 0 … 1.
-    window : number of recorded bins; a time axis longer than the period leaves the bins beyond it empty.
-    bins : number of bins of the time axis.
+    bins : number of recorded bins, those of the time axis.
     before_avalanche, after_avalanche : displacement of photons (pulse, carrier diffusion) and of records (TDC).
     """
 
@@ -49,7 +48,6 @@ class Cycle:
     gate: Floats
     front: int
     back: int
-    window: int
     bins: int
     before_avalanche: Kernel
     after_avalanche: Kernel
@@ -77,7 +75,7 @@ class Cycle:
         return replace(
             self, width_s=self.width_s / pieces, edges_s=cut_edges(self.edges_s, parts),
             gate=np.repeat(self.gate, parts), front=int(parts[: self.front].sum()), back=self.back * pieces,
-            window=int(parts[: self.window].sum()), bins=self.bins * pieces,
+            bins=int(parts[: self.bins].sum()),
         )  # fmt: skip
 
     @cached_property
@@ -92,25 +90,19 @@ class Cycle:
 def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
     """The laser period cut into bins for a time axis. The last result is cached, as scenes often share a detector.
 
-    A time axis longer than the period is folded: light that comes later than a period is recorded in the bins after
-    the next pulse, as by any real TDC, and the bins beyond the period stay empty. In mode `ideal` pulses count as
-    isolated instead, and nothing is folded.
+    The TDC measures times since the last pulse, whatever the detector's mode: photons and records that are displaced
+    beyond an end of the period appear at its other end.
 
-    Raises `InputError` for a gate that is not within the period and for bins longer than it.
+    Raises `InputError` for a time axis longer than the period and for a gate that is not within the period.
     """
     width, bins, period = time.width_s, time.bins, exposure.period_s
     pulse = photon_kernel(width, spad, exposure)
     jitter = response_kernel(width, spad.jitter_fwhm_s)
     # Light and records are displaced by so many bins: the window needs that margin on either side.
     after, before = pulse.after + jitter.before, pulse.before + jitter.after
-    if spad.mode == "ideal" and bins * width > period * (1 + 1e-9):
-        period = (bins + after + before) * width
-    whole = int(np.floor(period / width * (1 + 1e-12) + 1e-9))
-    if whole < 1:
-        raise InputError(
-            f"bin width {width:g} s with a laser period of {period:g} s: a bin must not be longer than the period; "
-            "use narrower bins or a lower repetition_rate_hz"
-        )
+    if beyond := time.beyond_period(exposure.repetition_rate_hz):
+        raise InputError(f"Exposure.repetition_rate_hz = {exposure.repetition_rate_hz:g}: {beyond}")
+    whole = max(int(np.floor(period / width * (1 + 1e-12) + 1e-9)), bins)
     lattice = width * np.arange(min(whole, bins + after) + 1)
     if whole > bins + after + before + 1:
         start, stop = lattice[-1], period - before * width
@@ -131,7 +123,7 @@ def cycle_of(time: TimeAxis, spad: Spad, exposure: Exposure) -> Cycle:
         )
     gate = _gate(edges, time, spad, period)
     edges.flags.writeable = gate.flags.writeable = False
-    return Cycle(period, width, edges, gate, front, back, min(bins, len(edges) - 1), bins, pulse, jitter)
+    return Cycle(period, width, edges, gate, front, back, bins, pulse, jitter)
 
 
 def photon_kernel(width_s: float, spad: Spad, exposure: Exposure) -> Kernel:

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.fft
 import scipy.special
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.detector.spad import Pulse
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
@@ -146,7 +146,7 @@ def _convolved(values: Floats, weights: Floats) -> Floats:
     return out
 
 
-@subroutine()
+@compiled()
 def padded(weights: Floats) -> Floats:
     """(k + 6,) the weights (k,) with three zeros on either side, as `add_response` needs them."""
     # Here and elsewhere arrays are copied in loops: for an assignment of a slice numba compiles a check of the
@@ -157,7 +157,7 @@ def padded(weights: Floats) -> Floats:
     return w
 
 
-@subroutine()
+@compiled()
 def add_response(row: Floats, beside: Floats, out: Floats) -> None:
     """Add the responses to a row of n bins to `out` of n + k − 1 bins; `beside` holds the k taps (`padded`).
 

@@ -88,10 +88,8 @@ def detections_per_photon(armed: Floats, time: TimeAxis, spad: Spad, exposure: E
     armed : (…, n) as of `OwnLight`.
     """
     cycle = cycle_of(time, spad, exposure)
-    out = np.zeros((*armed.shape[:-1], time.bins))
-    out[..., : cycle.window] = (armed * cycle.gate)[..., : cycle.window]
-    out *= exposure.cycles * exposure.photons_per_pulse * spad.pde
-    return out
+    photons = exposure.cycles * exposure.photons_per_pulse
+    return np.asarray((armed * cycle.gate)[..., : time.bins] * (photons * spad.pde))
 
 
 def _detections(flux: Floats, cycle: Cycle, spad: Spad) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 from datagen.seeding import Purpose
@@ -100,7 +100,7 @@ def binomial(n: int, p: float, stream: Stream) -> int:
     return n - drawn if p > 0.5 else drawn
 
 
-@subroutine()
+@compiled()
 def _by_inversion(n: int, p: float, u: float) -> int:
     """The quantile of a uniform number u: P(0), P(1), … are subtracted from u until it is used up."""
     # P(0) = (1 − p)^n goes through log1p, which keeps a p below 1e-16.
@@ -119,7 +119,7 @@ def _by_inversion(n: int, p: float, u: float) -> int:
     return k
 
 
-@subroutine()
+@compiled()
 def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
     """A binomial number by transformed rejection with squeeze, for n p ≥ 10 (BTRS of W. Hörmann, J. Stat. Comput.
     Simul. 46, 101, 1993).
@@ -158,7 +158,7 @@ def _binomial_rejection(n: int, p: float, stream: Stream) -> int:
             return int(k)
 
 
-@subroutine()
+@compiled()
 def _stirling_rest(k: float) -> float:
     """log k! − [(k + ½) log(k + 1) − (k + 1) + ½ log 2π], the remainder of Stirling's formula."""
     # Stirling's series is too coarse for small k.
@@ -217,7 +217,7 @@ def _poisson_counts(mean: Floats, streams: Stream) -> Ints:
     return counts
 
 
-@subroutine()
+@compiled()
 def _poisson_rejection(mean: float, stream: Stream) -> int:
     """A Poisson number by transformed rejection with squeeze, for means ≥ 10 (PTRS of W. Hörmann, Insur. Math. Econ.
     12, 39, 1993).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -191,8 +192,12 @@ class Spad:
             raise InputError(
                 f"Spad.tdc_dnl = {self.tdc_dnl:g} with tdc_edges_s: both set the widths of bins; leave one out"
             )
-        edges = as_tdc_edges("Spad.tdc_edges_s", given)
-        object.__setattr__(self, "tdc_edges_s", tuple(tuple(row) for row in edges.tolist()))
+        try:
+            rows = _checked_edges(given)
+        except TypeError:
+            # Lists and arrays have no hash.
+            rows = _checked_edges.__wrapped__(given)
+        object.__setattr__(self, "tdc_edges_s", rows)
 
     @property
     def tdc_bins_are_equal(self) -> bool:
@@ -204,6 +209,12 @@ class Spad:
         """Expected releases that an avalanche leaves in each trap: w_k μ with μ = −ln(1 − p_ap)."""
         weights = np.asarray(self.afterpulse_weights or np.ones(len(self.afterpulse_times_s)))
         return tuple(float(w) for w in -np.log1p(-self.afterpulse_probability) * weights / weights.sum())
+
+
+@lru_cache(maxsize=1)
+def _checked_edges(given: ArrayLike) -> tuple[tuple[float, ...], ...]:
+    """The edges of a TDC's bins as numbers; the detectors of all scenes share those that were checked last."""
+    return tuple(tuple(row) for row in as_tdc_edges("Spad.tdc_edges_s", given).tolist())
 
 
 @dataclass(frozen=True)

@@ -83,18 +83,13 @@ class Tdc:
         return out
 
     def _joined(self, records: list[NDArray[N]]) -> NDArray[N]:
-        """(…, m) records in the pieces of the window's bins, in order of time, from those of each piece (…, bins).
+        """(…, m) records in the pieces of all bins, in order of time, from those of each piece (…, bins).
 
         A record is displaced by whole bins and stays in its piece.
         """
         if self._pieces == 1:
             return records[0]
-        window = self._cycle.window
-        joined = np.stack([part[..., :window] for part in records], axis=-1).reshape(*records[0].shape[:-1], -1)
-        if self._cycle.has_short_bin and window == len(self._cycle.gate):
-            first = (window - 1) * self._pieces
-            joined[..., first] = joined[..., first:].sum(axis=-1)
-        return joined
+        return np.stack(records, axis=-1).reshape(*records[0].shape[:-1], -1)
 
     def _mean_in_equal_bins(self, detections: Floats) -> Floats:
         """(…, bins) expected records in bins of the cycle's width."""
@@ -107,19 +102,13 @@ class Tdc:
             if self._from_short is not None:
                 for column, weight in zip(self._from_short, jitter.weights, strict=True):
                     folded[..., column] += weight * detections[..., -1]
-            if folded.shape[-1] == cycle.bins == cycle.window:
-                return folded
-        out = np.zeros((*detections.shape[:-1], cycle.bins))
-        out[..., : cycle.window] = folded[..., : cycle.window]
-        return out
+        return folded[..., : cycle.bins]
 
     def _draw_in_equal_bins(self, detections: Ints, streams: Stream) -> Ints:
         """(…, bins) records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
-        out = np.zeros((*detections.shape[:-1], cycle.bins), np.int64)
         if jitter.is_identity:
-            out[..., : cycle.window] = detections[..., : cycle.window]
-            return out
+            return detections[..., : cycle.bins]
         ordered = on_lattice(self._without_short(detections), cycle.back, cycle.front)
         rows = np.ascontiguousarray(ordered.reshape(-1, cycle.back + cycle.front))
         row_streams = streams.reshape(-1, 4)
@@ -134,8 +123,7 @@ class Tdc:
             moved = _scatter(alone, self._likeliest, self._offsets, row_streams)
             for column, records in zip(self._from_short, moved.T, strict=True):
                 folded[:, column] += records
-        out[..., : cycle.window] = folded[:, : cycle.window].reshape(*out.shape[:-1], cycle.window)
-        return out
+        return folded[:, : cycle.bins].reshape(*detections.shape[:-1], cycle.bins)
 
     def _without_short(self, detections: NDArray[N]) -> NDArray[N]:
         """The detections without those in the short bin at the end of the period, if there is one."""

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, uniform_of_pixels
 from datagen.detector.random_numbers import Stream, binomial
 from datagen.detector.spad import Spad
@@ -80,9 +80,9 @@ class TdcBins:
     """The sorting of records into the bins of the TDC.
 
     pieces : number of pieces of a bin of the time axis.
-    from_s : (n + 1,) edges of these pieces, in the window.
-    to_s : (pixel or 1, window + 1) edges of the TDC's bins of each pixel.
-    bins : number of bins of the time axis; those beyond the window stay empty.
+    from_s : (n + 1,) edges of these pieces.
+    to_s : (pixel or 1, bins + 1) edges of the TDC's bins of each pixel.
+    bins : number of bins of the time axis.
     """
 
     pieces: int
@@ -94,12 +94,12 @@ class TdcBins:
     def of(cls, cycle: Cycle, pieces: int, spad: Spad, pixels: int, first_pixel: int = 0) -> TdcBins:
         """The TDC's bins of pixels from number `first_pixel` on, for records in the bins of `cycle.cut(pieces)`.
 
-        The record ends with the window: TDC bins are cut off there, and the last one is extended to it.
+        The record ends with the time axis: TDC bins are cut off there, and the last one is extended to it.
 
         Raises `InputError` for edges that do not fit the time axis or the number of pixels.
         """
         widths = tdc_widths(spad, pixels, first_pixel)
-        codes, window, width = widths.shape[1], cycle.window, cycle.width_s
+        codes, bins, width = widths.shape[1], cycle.bins, cycle.width_s
         if spad.tdc_edges_s is not None:
             length, wanted = spad.tdc_edges_s[0][-1], codes * width
             if abs(length - wanted) > TDC_PERIOD_ACCURACY * wanted:
@@ -110,33 +110,35 @@ class TdcBins:
         inside = np.zeros((len(widths), codes + 1))
         np.cumsum(widths, axis=1, out=inside[:, 1:])
         inside[:, -1] = codes
-        number = np.arange(window + 1)
+        number = np.arange(bins + 1)
         edges = (number // codes * codes) + inside[:, number % codes]
         nearest = np.rint(edges)
         edges = np.where(np.abs(edges - nearest) < _SAME, nearest, edges) * width
         fine = cycle if pieces == 1 else cycle.cut(pieces)
-        end = cycle.edges_s[window]
+        end = cycle.edges_s[bins]
         edges = np.minimum(edges, end)
         edges[:, -1] = end
-        return cls(pieces, fine.edges_s[: fine.window + 1], edges, cycle.bins)
+        return cls(pieces, fine.edges_s[: fine.bins + 1], edges, bins)
 
     @property
     def widths(self) -> Floats:
-        """(pixel or 1, window) widths of the TDC's bins, in bins of the time axis."""
+        """(pixel or 1, bins) widths of the TDC's bins, in bins of the time axis."""
         return np.asarray(np.diff(self.to_s) / (self.pieces * (self.from_s[1] - self.from_s[0])))
 
     @property
     def shares(self) -> tuple[Floats, Ints]:
-        """(pixel or 1, window) share of a bin's records that keep its number, and number of TDC bins that its records
+        """(pixel or 1, bins) share of a bin's records that keep its number, and number of TDC bins that its records
         get into; for records in whole bins."""
         low, high = self.from_s[:-1], self.from_s[1:]
         within = np.minimum(high, self.to_s[:, 1:]) - np.maximum(low, self.to_s[:, :-1])
-        touched = np.empty(within.shape, np.int64)
-        for row, edges in enumerate(self.to_s):
-            # TDC bins of no width record nothing.
-            filled = np.append(0, np.cumsum(np.diff(edges) > 0))
-            before, until = np.searchsorted(edges[1:], low, side="right"), np.searchsorted(edges[:-1], high)
-            touched[row] = filled[until] - filled[before]
+        # A TDC bin a … b gets records of the bins from the first one that ends after a to the last one that starts
+        # before b; one of no width records nothing.
+        begin, end = self.to_s[:, :-1], self.to_s[:, 1:]
+        rows, bins = within.shape
+        place = (bins + 1) * np.arange(rows)[:, None]
+        first, past = np.searchsorted(high, begin, side="right") + place, np.searchsorted(low, end) + place
+        starting, ending = (np.bincount(k[end > begin], minlength=rows * (bins + 1)) for k in (first, past))
+        touched = np.cumsum((starting - ending).reshape(rows, -1), axis=1)[:, :-1]
         return np.maximum(within, 0.0) / (high - low), touched
 
     def mean(self, records: Floats, pixels: Ints | None = None) -> Floats:
@@ -167,7 +169,7 @@ class TdcBins:
         return np.ascontiguousarray(np.broadcast_to(numbers, leading)).reshape(-1)
 
 
-@subroutine()
+@compiled()
 def _overlap(low: float, high: float, edges: Floats, k: int) -> float:
     """Share of the interval `low … high` in TDC bin k."""
     return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))
@@ -182,7 +184,7 @@ def _sort_mean(records: Floats, from_s: Floats, to_s: Floats, row_of: Ints, out:
             value, low, high = records[h, i], from_s[i], from_s[i + 1]
             if value == 0.0:
                 continue
-            # The last edge is the end of the window, so the search ends.
+            # The last edge is the end of the time axis, so the search ends.
             while edges[j + 1] <= low:
                 j += 1
             k = j

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -75,12 +76,7 @@ class Detection:
         light = self.spad.pde * self.exposure.photons_per_pulse * float(self.transient.sum(axis=2).max())
         return light + background_hz * self.exposure.period_s
 
-    @property
-    def exceeds_period(self) -> bool:
-        """Whether the time axis is longer than the laser period, so that light is folded."""
-        return not self.counts_all and self.time.bins * self.time.width_s > self.exposure.period_s * (1 + 1e-9)
-
-    @property
+    @cached_property
     def unequal_bins(self) -> TdcBins | None:
         """The bins of the TDC, for records in whole bins of the time axis; None if they are equal."""
         if self.spad.tdc_bins_are_equal:
@@ -119,7 +115,7 @@ def _timing(given: Detection) -> Change:
         return Change(0.0, "bound", "far narrower than a bin")
     reason = f"it moves {1 - share:.2g} of the photons into other bins"
     cut = spad.gate_start_s is not None or spad.counter_max is not None
-    if moved > _MOST_MOVED or cut or given.exceeds_period:
+    if moved > _MOST_MOVED or cut:
         return Change(None, "bound", reason)
     most = shifted = 0.0
     if given.has_dead_time:
@@ -152,7 +148,7 @@ def _unequal_bins(given: Detection) -> Change:
     moved = math.sqrt(float((column * row).max()))
     reason = f"it moves up to {1 - kept.min():.2g} of a bin's records into other bins"
     cut = pieces_for(cycle_of(given.time, spad, given.exposure), spad) > 1
-    if given.exceeds_period or spad.counter_max is not None or (cut and given.caused > 0):
+    if spad.counter_max is not None or (cut and given.caused > 0):
         return Change(None, "bound", reason)
     if cut:
         moved *= math.exp(min(given.dead_periods * given.most_events_per_cycle, _LARGEST_EXPONENT))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
 _FEW = 64
@@ -98,7 +98,7 @@ def _squares_by_blocks(start: Floats, step: Floats, shape: Ints, triangles: Floa
     return squares
 
 
-@subroutine()
+@compiled()
 def _keep_nearest(triangles: Floats, stack: Ints, first: int, last: int, points: Floats, table: Floats) -> int:
     """The end of the triangles kept: those of stack[first:last] that may be nearest in a block are copied to
     stack[last:].
@@ -133,7 +133,7 @@ def _keep_nearest(triangles: Floats, stack: Ints, first: int, last: int, points:
     return kept
 
 
-@subroutine()
+@compiled()
 def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Floats) -> None:
     """Lower `squares` of the first `count` of `points` (3, n) to the squared distance to triangle f, if that is
     smaller.
@@ -162,7 +162,7 @@ def _lower(triangles: Floats, f: int, points: Floats, count: int, squares: Float
         squares[p] = min(squares[p], on_u, on_v, on_w, inside)
 
 
-@subroutine()
+@compiled()
 def _closest_point(triangles: Floats, f: int, points: Floats) -> tuple[float, float]:
     """The point of triangle f that is nearest to points[:, 8], in units of the edges u and v."""
     along_u, along_v, along = 0.0, 0.0, 0.0

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 
 
-@subroutine()
+@compiled()
 def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> bool:
     """Whether the point lies on the left of the edge (0 → 1).
 
@@ -24,7 +24,7 @@ def _side(x0: float, y0: float, x1: float, y1: float, px: float, py: float) -> b
     return (x0 - x1) * (py - y1) - (y0 - y1) * (px - x1) < 0.0
 
 
-@subroutine()
+@compiled()
 def _contains(t: Floats, px: float, py: float) -> bool:
     """Whether the point lies in the projected triangle: on the same side of all edges, whatever its winding."""
     first = _side(t[0, 0], t[0, 1], t[1, 0], t[1, 1], px, py)
@@ -34,13 +34,13 @@ def _contains(t: Floats, px: float, py: float) -> bool:
     )
 
 
-@subroutine()
+@compiled()
 def _covered(low: float, high: float, count: int) -> tuple[int, int]:
     """Number of the first pixel whose centre lies in low … high, and of the first one beyond."""
     return max(0, int(np.ceil(max(low, 0.0) - 0.5))), min(count, int(np.floor(min(high, count + 1.0) - 0.5)) + 1)
 
 
-@subroutine()
+@compiled()
 def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int, int]:
     """First row, end of the rows, first column and end of the columns in the triangle's bounding rectangle."""
     top, bottom = _covered(min(t[0, 1], t[1, 1], t[2, 1]), max(t[0, 1], t[1, 1], t[2, 1]), rows)
@@ -48,7 +48,7 @@ def _rows_and_columns(t: Floats, rows: int, columns: int) -> tuple[int, int, int
     return top, bottom, left, right
 
 
-@subroutine()
+@compiled()
 def _depth(triangle: Floats, px: float, py: float) -> float:
     """Depth of the triangle's plane at (px, py), clipped to the depths of its corners."""
     ux, uy, uz = triangle[1, 0] - triangle[0, 0], triangle[1, 1] - triangle[0, 1], triangle[1, 2] - triangle[0, 2]
@@ -168,7 +168,7 @@ def cut_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
     return cut
 
 
-@subroutine()
+@compiled()
 def _touches(t: Floats, cx: float, cy: float, cz: float) -> bool:
     """Whether the triangle meets the unit cube around (cx, cy, cz), given that its bounding box does."""
     v = np.empty((3, 3))

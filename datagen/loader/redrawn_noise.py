@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from numba.core import cgutils
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 from torch import distributed
 
+from datagen.compiled import compiled
 from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
 from datagen.errors import InputError
 from datagen.records.arrays import Ints
@@ -54,7 +57,6 @@ class NoiseSource:
                 "settings={'detector': {…}}"
             )
         self._seed = manifest.seed
-        self._decided: dict[tuple[str, int], tuple[Spad, Exposure, float]] = {}
 
     def draw(
         self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
@@ -66,7 +68,7 @@ class NoiseSource:
         """
         from datagen.detector import detect
 
-        spad, exposure, tolerance = self._detector_of(field, scene, transient)
+        spad, exposure, tolerance = self._detector_of(scene, transient)
         key = seed_sequence(seed, scene, _PURPOSE[field], attempt=number, part=stream)
         noise_seed = int(key.generate_state(1, np.uint64)[0])
         return detect(
@@ -74,18 +76,19 @@ class NoiseSource:
             approximate=self._detector.approximate,
         )  # fmt: skip
 
-    def _detector_of(self, field: str, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
-        """Detector, exposure and tolerance of a scene, with the effects that its transient needs. The effects are
-        decided at the first draw."""
-        if (field, scene) not in self._decided:
-            from datagen.detector import detector_for
-            from datagen.effects import decide_detector_effects
+    def _detector_of(self, scene: int, transient: NDArray[np.generic]) -> tuple[Spad, Exposure, float]:
+        """Detector, exposure and tolerance of a scene, with the effects that its transient needs.
 
-            given = detector_for(self._detector, self._seed, scene, self._time)
-            seen = transient.astype(np.float64)
-            plan = decide_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
-            self._decided[field, scene] = plan.apply_detector(*given, self._detector.tolerance)
-        return self._decided[field, scene]
+        They are decided at every draw, in a small part of the time of the draw: kept for every scene they would fill
+        the memory of every worker.
+        """
+        from datagen.detector import detector_for
+        from datagen.effects import decide_detector_effects
+
+        given = detector_for(self._detector, self._seed, scene, self._time)
+        seen = transient.astype(np.float64)
+        plan = decide_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
+        return plan.apply_detector(*given, self._detector.tolerance)
 
 
 class DrawCounter:
@@ -101,26 +104,25 @@ class DrawCounter:
 
     def __init__(self, scenes: int) -> None:
         self._rank: int | None = None
-        # (scene, 2): number of the next draw, and whether `fix` set it.
-        state: Any = torch.zeros((scenes, 2), dtype=torch.int64)
+        # (2, scene): number of the next draw, and the number that `fix` set last.
+        state: Any = torch.tensor([[0], [-1]]).repeat(1, scenes)
         self._state: torch.Tensor = state.share_memory_()
+        # Compiled here, once, before workers are forked.
+        self.take(())
 
     def fix(self, epoch: int, scenes: Ints) -> None:
         """Make the next read of each of these scenes draw number `epoch`; later reads count on from there."""
         if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
             raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
-        self._state[torch.from_numpy(scenes)] = torch.tensor([int(epoch), 1])
+        self._state[:, torch.from_numpy(scenes)] = int(epoch)
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
         """(number, stream) of the next draw of each scene of a batch; later reads get other numbers."""
-        rank, state = self._own_rank(), self._state.numpy()
-        taken = []
-        for scene in scenes:
-            draw, fixed = int(state[scene, 0]), bool(state[scene, 1])
-            state[scene] = draw + 1, 0
-            # Streams 1 and 2 belong to the order of epochs and to splits.
-            taken.append((draw, 0 if fixed or rank == 0 else rank + 2))
-        return taken
+        rank, (following, fixed) = self._own_rank(), self._state.numpy()
+        wanted = np.array(scenes, np.int64)
+        draws = zip(_taken(following, wanted).tolist(), fixed[wanted].tolist(), strict=True)
+        # Streams 1 and 2 belong to the order of epochs and to splits.
+        return [(draw, 0 if draw == first or rank == 0 else rank + 2) for draw, first in draws]
 
     def __getstate__(self) -> dict[str, Any]:
         """The state with the rank of this process, which a spawned worker takes over."""
@@ -131,3 +133,24 @@ class DrawCounter:
             return distributed.get_rank()
         launched = os.environ.get("RANK", "")
         return self._rank or (int(launched) if launched.isdigit() else 0)
+
+
+@intrinsic
+def _raised(typing: Any, counts: Any, place: Any) -> Any:
+    """counts[place], which is raised by one at the same moment: no other process can read it in between."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(counts)(context, builder, arguments[0])
+        number = cgutils.get_item_pointer(context, builder, counts, array, [arguments[1]])
+        return builder.atomic_rmw("add", number, context.get_constant(counts.dtype, 1), "seq_cst")
+
+    return counts.dtype(counts, place), code
+
+
+@compiled()
+def _taken(counts: Ints, places: Ints) -> Ints:
+    """(n,) counts at these places, each of which is raised by one."""
+    taken = np.empty(len(places), np.int64)
+    for i in range(len(places)):
+        taken[i] = _raised(counts, places[i])
+    return taken

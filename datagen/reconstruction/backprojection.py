@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_laplace
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.labels.frame import ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Rectangle, TimeAxis
@@ -168,7 +168,7 @@ def add_to_places(
                 out[k] += row[np.int32(at)] if at > 0 and at < last else row[0]
 
 
-@subroutine(nogil=True)
+@compiled(nogil=True)
 def _distances(points: Singles, x: Singles, y: Singles, z: Singles, out: Singles) -> None:
     for i in range(points.shape[1]):
         u, v, w = points[0, i], points[1, i], points[2, i]

@@ -33,6 +33,8 @@ WIDEST_BIN_S = 1e-3
 """A larger aperture or bin was most likely given in another unit: users get a warning."""
 MOST_BINS = 2**26
 MOST_VALUES = 2**36
+PERIOD_ACCURACY = 1e-9
+"""Relative excess of a time axis over the laser period that counts as rounding of the two."""
 
 
 def _check_parallelograms(name: str, corners: Floats) -> None:
@@ -303,6 +305,23 @@ class TimeAxis:
                 "is it in seconds?",
                 InputWarning, stacklevel=3,
             )  # fmt: skip
+
+    def beyond_period(self, repetition_rate_hz: float) -> str:
+        """How the axis and a laser's repetition rate disagree, with a remedy; "" where the axis fits into the period.
+
+        Times are measured since the last pulse, so that a histogram ends with the period. The axis may begin at any
+        time after the pulse.
+        """
+        period_s, length_s = 1.0 / repetition_rate_hz, self.bins * self.width_s
+        if length_s <= period_s * (1 + PERIOD_ACCURACY):
+            return ""
+        fitting = math.floor(period_s / self.width_s * (1 + PERIOD_ACCURACY))
+        fewer = f"{fitting} bins, " if fitting else ""
+        return (
+            f"a laser period is {1e9 * period_s:.6g} ns, and {self.bins} bins of {1e12 * self.width_s:.6g} ps are "
+            f"{1e9 * length_s:.6g} ns, but no histogram is longer than the period; take at most {fewer}"
+            f"{1e12 * period_s / self.bins:.10g} ps a bin, or {1e-6 / length_s:.10g} MHz"
+        )
 
     def merged(self, bins: int) -> TimeAxis:
         """The axis on which each run of so many bins is one bin."""

@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
 BITS = 32
@@ -67,7 +67,7 @@ def direction_numbers() -> NDArray[np.uint64]:
 _WORD = np.uint64(0xFFFFFFFF)
 
 
-@subroutine()
+@compiled()
 def mix(a: np.uint64, b: np.uint64) -> np.uint64:
     """A 32-bit hash of two words: words that differ little give hashes that have nothing in common."""
     # Without the added constant two zeros would hash to 0.
@@ -78,13 +78,13 @@ def mix(a: np.uint64, b: np.uint64) -> np.uint64:
     return (x ^ (x >> np.uint64(32))) & _WORD
 
 
-@subroutine()
+@compiled()
 def word_of(seed: int, row: int, number: int) -> np.uint64:
     """A 32-bit pseudo-random word: that of index `number` in row `row` of the stream with seed `seed`."""
     return mix(mix(np.uint64(seed), np.uint64(row)), np.uint64(number))
 
 
-@subroutine()
+@compiled()
 def _reverse_bits(x: np.uint64) -> np.uint64:
     """The 32-bit word with its bits in reverse order."""
     # Neighbouring bits change places, then pairs, fours, eights and halves.
@@ -95,7 +95,7 @@ def _reverse_bits(x: np.uint64) -> np.uint64:
     return (x >> np.uint64(16)) | ((x & np.uint64(0xFFFF)) << np.uint64(16))
 
 
-@subroutine()
+@compiled()
 def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
     """The word under nested uniform scrambling: each bit is flipped by a hash of `seed` and all higher bits."""
     # Products and sums carry only upwards. On the reversed word each bit therefore depends on the lower ones alone,

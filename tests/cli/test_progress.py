@@ -64,6 +64,19 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 40 < len(lines) < 70
 
 
+def test_a_log_says_once_what_comes_before_the_first_scene(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    shown = Progress(True)
+    shown.doing("checking")
+    for _ in range(100):
+        now[0] += 1.0
+        shown.doing("compiling")
+    assert capsys.readouterr().err == "compiling\n"
+
+
 def test_nothing_is_shown_unasked(capsys: pytest.CaptureFixture[str]) -> None:
     report = Progress(False)
     report.begin(4, 0)

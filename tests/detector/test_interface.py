@@ -56,7 +56,7 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
         (lambda: detect([["a"]], TIME, Spad(), EXPOSURE), ["real numbers"]),
         (lambda: detect(BLOCK, TIME, Spad(gate_start_s=50e-9, gate_width_s=60e-9), EXPOSURE), ["gate", "period"]),
         (lambda: detect(BLOCK, TIME, Spad(gate_start_s=-1e-9, gate_width_s=6e-9), EXPOSURE), ["gate", "period"]),
-        (lambda: detect(BLOCK, TIME, Spad(), Exposure(2e9)), ["bin width", "period"]),
+        (lambda: detect(BLOCK, TIME, Spad(), Exposure(2e9)), ["2e+09", "period"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, seed=-1), ["seed", "≥ 0"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, tolerance=-1.0), ["tolerance"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, first_laser=-1), ["first_laser"]),
@@ -169,18 +169,34 @@ def test_float32_and_lists_are_taken_and_left_alone():
     assert detect(BLOCK, TIME, Spad(), EXPOSURE, dtype=np.uint16).dtype == np.uint16
 
 
-def test_a_window_longer_than_the_period_folds():
-    """Light that comes a period late is recorded after the next pulse; `ideal` takes pulses as isolated."""
+MODES = ("ideal", "synchronous", "free_running")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_an_axis_longer_than_the_period_is_refused(mode):
+    """In every mode, by whatever takes an exposure; what the refusal allows is taken."""
+    spad, light = Spad(mode=mode), np.full(64, 1e-3)
+    for take in (detect, expected_histogram, choose_sampler):
+        with pytest.raises(InputError, match=r"rate_hz = 2e\+07.* at most 50 bins, 781.25 ps a bin, or 15.625 MHz"):
+            take(light, TIME, spad, Exposure(20e6, 1000, 1.0))
+        with pytest.raises(InputError, match=r"at most 7\.8125 ps a bin, or"):
+            take(light, TIME, spad, Exposure(2e9, 1000, 1.0))
+        take(light[:50], TimeAxis(50, 1e-9), spad, Exposure(20e6, 1000, 1.0))
+        take(light, TIME, spad, Exposure(15.625e6, 1000, 1.0))
+
+
+def test_every_mode_measures_times_since_the_last_pulse():
+    """What jitter and the laser's pulse move beyond the end of the period appears at its start."""
     transient = np.zeros(64)
-    transient[60] = 0.1
-    exposure = Exposure(1 / 50e-9, 1000, 1.0)
-    folded = expected_histogram(transient, TIME, Spad(pde=1.0), exposure)
-    assert folded[10] == pytest.approx(100.0)
-    assert folded.sum() == pytest.approx(100.0)
-    isolated = expected_histogram(transient, TIME, Spad(pde=1.0, mode="ideal"), exposure)
-    assert isolated[60] == pytest.approx(100.0)
-    half = expected_histogram(transient, TIME, Spad(pde=1.0), Exposure(1 / 50.5e-9, 1000, 1.0))
-    np.testing.assert_allclose(half[[9, 10]], [50.0, 50.0], rtol=1e-6)
+    transient[[0, 63]] = 0.1
+    exposure = Exposure(1 / 64e-9, 1000, 1.0, pulse_fwhm_s=2e-9)
+    seen = [
+        expected_histogram(transient, TIME, Spad(pde=1.0, mode=mode, jitter_fwhm_s=3e-9, dead_time_s=0.0), exposure)
+        for mode in MODES
+    ]
+    np.testing.assert_allclose(seen[1:], [seen[0], seen[0]], atol=1e-9)
+    np.testing.assert_allclose(seen[0], seen[0][::-1], atol=1e-9)
+    assert seen[0].sum() == pytest.approx(200.0)
 
 
 def test_background_outside_the_window_causes_dead_time():
@@ -290,9 +306,11 @@ def test_configured_numbers_replace_those_of_the_class_and_scenes_are_independen
     assert detector_for(config, 6, 7) != drawn[7]
 
 
-def test_class_rates_leave_room_for_the_time_axis():
+def test_rates_that_are_not_given_leave_room_for_the_time_axis():
     long = TimeAxis(1000, 1e-9)
-    config = DetectorConfig(detector_class="si_array")
-    assert all(detector_for(config, 0, i, long)[1].period_s >= 1e-6 * (1 - 1e-12) for i in range(20))
-    fixed = DetectorConfig(detector_class="si_array", repetition_rate_mhz=20.0)
-    assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(20e6)
+    for config in (DetectorConfig(detector_class="si_array"), DetectorConfig()):
+        drawn = [detector_for(config, 0, i, long) for i in range(20)]
+        assert all(exposure.period_s >= 1e-6 * (1 - 1e-12) for _, exposure in drawn)
+        detect(np.zeros(1000), long, *drawn[0])
+    fixed = DetectorConfig(detector_class="si_array", repetition_rate_mhz=0.5)
+    assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(0.5e6)

@@ -36,7 +36,7 @@ def shape_of(flux: float) -> np.ndarray:
 def cycle_of_test(gate: np.ndarray | None = None) -> Cycle:
     gate = np.ones(BINS) if gate is None else gate
     gate.flags.writeable = False
-    return Cycle(PERIOD, WIDTH, EDGES, gate, BINS, 0, BINS, BINS, IDENTITY, IDENTITY)
+    return Cycle(PERIOD, WIDTH, EDGES, gate, BINS, 0, BINS, IDENTITY, IDENTITY)
 
 
 def cycles_for(flux: float) -> int:

@@ -142,18 +142,17 @@ def test_detections_within_a_bin_are_in_true_time(mode: str) -> None:
     mean_is(true, expected_histogram(lam, time, spad, exposure), f"photons in unequal bins, {mode}")
 
 
-def test_the_record_ends_with_the_window() -> None:
-    """A period of 29.4 bins in an axis of 40: the shorter last bin is the last of the record, and keeps its sum."""
-    time, exposure = TimeAxis(40, WIDTH_S), Exposure(1 / (29.4 * WIDTH_S), 10**6, 1.0)
-    dark = np.zeros((1, 3, 40))
+def test_the_record_ends_with_the_time_axis() -> None:
+    """In a period of 29.4 bins: the last one of the TDC is cut off at the end of the axis, or extended to it."""
+    time, exposure = TimeAxis(29, WIDTH_S), Exposure(1 / (29.4 * WIDTH_S), 10**6, 1.0)
+    dark = np.zeros((1, 3, 29))
     slow = Spad(dark_count_rate_hz=1e6, dead_time_s=10e-9)
     for spad in (Spad(dark_count_rate_hz=1e6), slow, replace(slow, jitter_fwhm_s=0.5e-9)):
         mean = expected_histogram(dark, time, unequal(spad), exposure)
         assert mean.sum(axis=2) == pytest.approx(expected_histogram(dark, time, spad, exposure).sum(axis=2), rel=1e-6)
-        assert (mean[..., 30:] == 0).all() and len(np.unique(mean[..., :29].round(6))) > 60
+        assert len(np.unique(mean.round(6))) > 60
         counts = detect(dark, time, unequal(spad), exposure, seed=2)
-        assert (counts[..., 30:] == 0).all()
-        accept(float(scipy.stats.chi2(90).sf((np.square(counts - mean)[mean > 0] / mean[mean > 0]).sum())), "window")
+        accept(float(scipy.stats.chi2(87).sf((np.square(counts - mean)[mean > 0] / mean[mean > 0]).sum())), "window")
 
 
 @pytest.mark.parametrize("dead_time_s", [0.0, 50e-9])

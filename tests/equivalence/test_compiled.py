@@ -1,23 +1,18 @@
-"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written; Python
-cannot call subroutines; the garbage collector waits for the compiler."""
+"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written, as long as
+no source changes."""
 
 from __future__ import annotations
 
-import gc
-import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import numpy as np
-import pytest
-from numba import njit, types
-from numba.core.errors import TypingError
-from numba.extending import overload
+from numba import njit
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,48 +25,6 @@ def ratio(a, b):  # type: ignore[no-untyped-def]
 @njit(error_model="python")
 def ratio_for_another(a, b):  # type: ignore[no-untyped-def]
     return ratio(a, b)
-
-
-@subroutine()
-def doubled(a):  # type: ignore[no-untyped-def]
-    return 2 * a
-
-
-def test_only_kernels_call_subroutines() -> None:
-    """The kernel is not cached, so that the subroutine has machine code when Python calls it, but no wrapper."""
-    assert njit(lambda a: doubled(a))(1.5) == 3.0
-    assert doubled.signatures
-    with pytest.raises(TypeError, match="only compiled functions can call doubled"):
-        doubled(1.5)
-
-
-def watched(a):  # type: ignore[no-untyped-def]
-    raise NotImplementedError("compiled code only")
-
-
-def test_the_garbage_collector_waits_for_the_compiler() -> None:
-    """It stands still while a kernel is compiled, and runs afterwards if it ran before, even after an error."""
-    ran = []
-
-    @overload(watched)
-    def typed(a):  # type: ignore[no-untyped-def]
-        ran.append(gc.isenabled())
-        return None if isinstance(a, types.UnicodeType) else lambda a: a
-
-    kernel = njit(lambda a: watched(a))
-    assert gc.isenabled()
-    assert kernel(1) == 1
-    with pytest.raises(TypingError):
-        kernel("text")
-    assert gc.isenabled()
-    gc.disable()
-    try:
-        assert kernel(1.5) == 1.5
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
-    assert len(ran) >= 3
-    assert not any(ran)
 
 
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:
@@ -99,14 +52,69 @@ def test_where_sources_cannot_be_written_beside_the_cache_is_the_users(tmp_path:
     assert Path(said[1][2]).is_relative_to(home)
 
 
-def test_the_first_use_is_the_first_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two copies of the module share a cache, as two processes would."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    said = []
-    for _ in range(2):
-        spec = importlib.util.spec_from_file_location("compiled_anew", ROOT / "datagen" / "compiled.py")
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        said.append(module.first_use())
-    assert said == [True, False]
+PACKAGE = {
+    "datagen/__init__.py": "",
+    "datagen/callee.py": "from datagen.compiled import compiled\nFACTOR = 2\n"
+    "@compiled()\ndef times(x):\n    return FACTOR * x\n",
+    "datagen/caller.py": "from datagen.callee import times\nfrom datagen.compiled import compiled\n"
+    "@compiled()\ndef kernel(x):\n    return times(x) + 1\n",
+    "scene_library/__init__.py": "",
+    "scene_library/sizes.py": "SIZE = 5\n",
+    "scene_library/areas.py": "from datagen.compiled import compiled\nfrom scene_library.sizes import SIZE\n"
+    "@compiled()\ndef kernel(x):\n    return SIZE * x\n",
+    "kernels_of_tests.py": "from datagen.caller import kernel\nfrom datagen.compiled import compiled\n"
+    "@compiled()\ndef twice(x):\n    return 2 * kernel(x)\n",
+}
+"""Small files in the place of the packages' own, beside the real `compiled.py`."""
+PROGRAM = """
+from datagen.caller import kernel
+from datagen.compiled import first_use
+from kernels_of_tests import twice
+from scene_library.areas import kernel as area
+first = first_use()
+print(kernel(10), twice(10), area(10), first, sum(kernel.stats.cache_hits.values()))
+"""
+
+
+def started(root: Path) -> subprocess.Popen[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    # Python's own cache goes by time and size of a file, which do not change here.
+    environment |= {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], cwd=root, env=environment, text=True, stdout=subprocess.PIPE
+    )
+
+
+def answers(*running: subprocess.Popen[str]) -> list[list[str]]:
+    said = [process.communicate()[0].split() for process in running]
+    assert all(process.returncode == 0 for process in running)
+    return said
+
+
+def changed(path: Path, old: str, new: str) -> None:
+    """Replace a text by one of the same length, and leave the time of the file as it was."""
+    before, text = path.stat(), path.read_text()
+    assert old in text and len(old) == len(new)
+    path.write_text(text.replace(old, new))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_kernels_follow_an_edit_of_any_source(tmp_path: Path) -> None:
+    """A function or a constant of another file changes, its size and time do not: kernels of both packages and of
+    tests compute the new values, in several processes that start at once, and nothing of the old ones stays."""
+    for name, text in PACKAGE.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    shutil.copy(ROOT / "datagen" / "compiled.py", tmp_path / "datagen")
+    assert answers(started(tmp_path)) == [["21", "42", "50", "True", "0"]]
+    assert answers(started(tmp_path)) == [["21", "42", "50", "False", "1"]]
+    old = {path.name for path in tmp_path.rglob("*.nb[ic]")}
+    changed(tmp_path / "datagen" / "callee.py", "FACTOR = 2", "FACTOR = 3")
+    changed(tmp_path / "scene_library" / "sizes.py", "SIZE = 5", "SIZE = 7")
+    said = answers(*(started(tmp_path) for _ in range(3)))
+    assert [one[:3] for one in said] == [["31", "62", "70"]] * 3
+    assert "True" in {one[3] for one in said}
+    assert answers(started(tmp_path)) == [["31", "62", "70", "False", "1"]]
+    new = {path.name for path in tmp_path.rglob("*.nb[ic]")}
+    assert len(new) == len(old)
+    assert new.isdisjoint(old)

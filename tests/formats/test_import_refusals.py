@@ -99,6 +99,15 @@ def refuse(folder: Path, files: Path | list[Path], piece: str, **options: Any) -
     assert sorted(folder.iterdir()) == before
 
 
+def test_an_axis_longer_than_the_period_of_the_laser_that_is_named(tmp_path: Path) -> None:
+    path, bins = tal_file(tmp_path / "c.hdf5", delta_t=3.0), len(H)
+    dg.import_captures(path, tmp_path / "unnamed", progress=False)
+    named = {"detector": {"repetition_rate_mhz": 80}}
+    refuse(tmp_path, path, f"repetition_rate_mhz = 80 with capture.time: a laser period is 12.5 ns, and {bins} bins",
+           settings=named)  # fmt: skip
+    dg.import_captures(path, tmp_path / "cut", settings=named, bins=1, progress=False)
+
+
 @pytest.mark.parametrize("kind", TAL)
 def test_captures_of_y_tal(kind: str, tmp_path: Path) -> None:
     changes, options, piece = TAL[kind]

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from datagen import GGX, Phong, Retroreflector
+from datagen.compiled import compiled
 from datagen.records import Material
 from datagen.transport import brdf
 from datagen.transport.brdf import MaterialTable
@@ -23,7 +23,7 @@ EVEN = 1e6
 """Value of `crowd` that is so large that sectors are even."""
 
 
-@njit(cache=True)
+@compiled()
 def draw(kind, values, n, w_in, uv):  # type: ignore[no-untyped-def]
     out = np.empty((len(uv), 3))
     for i in range(len(uv)):
@@ -32,7 +32,7 @@ def draw(kind, values, n, w_in, uv):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(cache=True)
+@compiled()
 def values_along(kind, values, n, w_in, w_out):  # type: ignore[no-untyped-def]
     """(n,) BRDF and (n,) pdf for one or n incoming directions and n outgoing ones."""
     f, density = np.empty(len(w_out)), np.empty(len(w_out))
@@ -45,7 +45,7 @@ def values_along(kind, values, n, w_in, w_out):  # type: ignore[no-untyped-def]
     return f, density
 
 
-@njit(cache=True)
+@compiled()
 def most_along(kind, values, n, w_in, w_out, turn, tilt):  # type: ignore[no-untyped-def]
     """(n,) `evaluate_at_most` for n incoming and n outgoing directions."""
     most = np.empty(len(w_out))
@@ -55,7 +55,7 @@ def most_along(kind, values, n, w_in, w_out, turn, tilt):  # type: ignore[no-unt
     return most
 
 
-@njit(cache=True)
+@compiled()
 def widened(kind, values, span):  # type: ignore[no-untyped-def]
     """A material's row with its lobe widened by an angle."""
     row = values.copy()

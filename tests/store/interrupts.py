@@ -42,7 +42,7 @@ current_process()._config["semprefix"] = sys.argv.pop(1)
 runpy.run_module("datagen", run_name="__main__", alter_sys=True)
 """
 """Runs datagen with a prefix of its own for the names of semaphores: other builds of this machine have theirs."""
-PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation|\d+ of \d+ s.*|")
+PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation.*|\d+ of \d+ s.*|")
 
 
 def processes_of(session: int) -> list[str]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
+import multiprocessing
 import pickle
+import tracemalloc
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from datasets import write_dataset
@@ -25,6 +29,8 @@ from torch.utils.data import (
 
 from datagen.errors import InputError
 from datagen.loader import EpochSampler, TransientDataset
+from datagen.loader.redrawn_noise import DrawCounter
+from datagen.seeding import Purpose, generator
 
 Noise = dict[int, torch.Tensor]
 EPOCHS = 3
@@ -195,6 +201,63 @@ def test_a_scene_read_twice_has_two_draws(data: TransientDataset, dataset: Path)
     (batch,) = replaced
     counts = [tuple(row.flatten().tolist()) for row in batch["histogram"]]
     assert len(set(counts)) == 40
+
+
+def taken_together(draws: DrawCounter, begin: Any, found: Any, times: int) -> None:
+    begin.wait()
+    found.put([number for _ in range(times) for number, _ in draws.take([1])])
+
+
+def test_no_two_processes_get_the_same_draw() -> None:
+    """Two processes that read the same scene at once, as workers do when scenes are drawn with replacement."""
+    context, draws, times = multiprocessing.get_context("fork"), DrawCounter(3), 10_000
+    begin, found = context.Barrier(2), context.Queue()
+    both = [context.Process(target=taken_together, args=(draws, begin, found, times)) for _ in range(2)]
+    for process in both:
+        process.start()
+    numbers = sorted(found.get() + found.get())
+    for process in both:
+        process.join()
+    assert numbers == list(range(2 * times))
+    assert draws.take([0, 1, 2]) == [(0, 0), (2 * times, 0), (0, 0)]
+
+
+def test_memory_is_flat_over_epochs(tmp_path: Path) -> None:
+    """With measured edges of a TDC, 0.26 MB for each detector that has a copy of its own."""
+    config = noisy_config()
+    width_ps = config.capture.time.bin_width_ps
+    random = np.random.default_rng(0)
+    inner = np.sort(random.uniform(0, 128 * width_ps, (64, 127)), axis=1)
+    edges = np.pad(inner, [(0, 0), (1, 1)], constant_values=[(0, 0), (0, 128 * width_ps)])
+    config = noisy_config(tdc_edges_ps=tuple(tuple(row) for row in edges.tolist()))
+    data = TransientDataset(write_dataset(config, tmp_path / "set", fake_sample), ("histogram",), redraw_noise=True)
+    loader = DataLoader(data, 1, sampler=EpochSampler(data))
+    data[0]
+    tracemalloc.start()
+    try:
+        for _ in range(5):
+            assert len(epoch_of(loader)) == 12
+        gc.collect()
+        grown, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert grown < 1e6
+
+
+def test_orders_come_from_a_stream_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No order of an epoch is what a stream of the noise, of any scene, draw and process, would shuffle."""
+    streams = set()
+    for rank in range(4):
+        monkeypatch.setenv("RANK", str(rank))
+        streams |= {stream for _, stream in DrawCounter(1).take([0, 0])}
+    shuffled = {
+        tuple(generator(5, scene, purpose, attempt=number, part=stream).permutation(20).tolist())
+        for purpose in (Purpose.LOADER, Purpose.LOADER_BACKGROUND)
+        for scene, number, stream in itertools.product(range(6), range(6), streams)
+    }
+    assert len(streams) == 4 and len(shuffled) == 2 * 6 * 6 * 4
+    order = EpochSampler(range(20), seed=5)
+    assert shuffled.isdisjoint(tuple(order) for _ in range(6))
 
 
 def test_workers_that_outlive_an_epoch_see_it_fixed(data: TransientDataset) -> None:

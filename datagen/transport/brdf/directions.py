@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 Vector = tuple[float, float, float]
@@ -22,7 +22,7 @@ def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@subroutine()
+@compiled()
 def sample_cosine(n: Vector, u: float, v: float) -> Vector:
     """Unit direction about `n` with density cosθ/π, from a point (u, v) of the unit square.
 
@@ -38,7 +38,7 @@ def sample_cosine(n: Vector, u: float, v: float) -> Vector:
     return in_frame_of(n, radius * math.cos(angle), radius * math.sin(angle), z)
 
 
-@subroutine()
+@compiled()
 def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
     """The vector with components x, y, z in a right-handed frame whose third axis is the unit vector `n`."""
     # Duff et al., JCGT 6(1) (2017), which needs no branch on the largest component of n.
@@ -52,7 +52,7 @@ def in_frame_of(n: Vector, x: float, y: float, z: float) -> Vector:
     )
 
 
-@subroutine()
+@compiled()
 def around(axis: Vector, one_minus_cos: float, revolutions: float) -> Vector:
     """The unit direction at the angle arccos(1 − `one_minus_cos`) from `axis`, and at azimuth 2π · `revolutions`."""
     # 1 − cos rather than cos: close to the axis the sine would lose its digits.

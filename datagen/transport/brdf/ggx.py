@@ -21,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.records.materials import GGX
 from datagen.transport.brdf.directions import Vector, around, dot, in_frame_of, unit_gauss
@@ -57,26 +57,26 @@ def share(material: GGX, cosine: Floats, azimuth_rad: Floats) -> Floats:
     return np.asarray((single + multiple_share(values[2], values[3]) * lost).reshape(cosine.shape))
 
 
-@subroutine()
+@compiled()
 def widen(values: Floats, span: float) -> None:
     """`models.widen` for GGX: rougher facets."""
     values[1] = min(max(values[1], 0.5 * span), 1.0)
 
 
-@subroutine()
+@compiled()
 def _smith_root(alpha: float, cosine: float) -> float:
     """S(c) of the module's docstring."""
     return math.sqrt(alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine)
 
 
-@subroutine()
+@compiled()
 def _schlick(f0: float, cosine: float) -> float:
     """Schlick's approximation to Fresnel reflectance; `cosine` is that between light and facet normal."""
     away = 1.0 - min(max(cosine, 0.0), 1.0)
     return f0 + (1.0 - f0) * away * away * away * away * away
 
 
-@subroutine()
+@compiled()
 def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     """Facet normal drawn in proportion to its area seen from `w`; both in the surface's frame, w[2] ≥ 0."""
     # Stretched to α = 1, the facets are those of a hemisphere, whose projection along `w` is easily drawn from.
@@ -99,7 +99,7 @@ def _visible_facet(alpha: float, w: Vector, u: float, v: float) -> Vector:
     return (x / length, y / length, z / length)
 
 
-@subroutine()
+@compiled()
 def _facet_and_density(
     alpha: float, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> tuple[float, float]:
@@ -116,7 +116,7 @@ def _facet_and_density(
     return to_facet, alpha * alpha / (math.pi * spread * spread)
 
 
-@subroutine()
+@compiled()
 def place(alpha: float, cosine: float) -> float:
     """Coordinate of the table, 0 … `PANELS`, for a cosine of incidence."""
     # It spreads the cosines below α, where E rises steeply from grazing incidence.
@@ -142,7 +142,7 @@ def tabulated(values: Floats, cosine: float) -> float:
     )
 
 
-@subroutine()
+@compiled()
 def _multiple_pdf(values: Floats, cos_out: float) -> float:
     """Density of directions drawn for multiple scattering, 1/sr: within a panel uniform in the table's coordinate."""
     alpha = values[1]
@@ -155,7 +155,7 @@ def _multiple_pdf(values: Floats, cos_out: float) -> float:
     return float((values[FIRST_SHARE + panel] - below) * slope / (2.0 * math.pi))
 
 
-@subroutine()
+@compiled()
 def _multiple_cosine(values: Floats, u: float) -> float:
     """Cosine of a direction of multiple scattering, drawn by a number u in 0 … 1."""
     panel, below = 0, 0.0
@@ -177,14 +177,14 @@ def multiple_share(f0: float, mean: float) -> float:
     return fresnel * fresnel * mean / (1.0 - fresnel * (1.0 - mean))
 
 
-@subroutine()
+@compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     to_facet, facets = _facet_and_density(values[1], w_in, w_out, cos_in, cos_out)
     return _of_facets(values, to_facet, facets, cos_in, cos_out)
 
 
-@subroutine()
+@compiled()
 def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, where facets of density `facets` mirror the light at an angle whose cosine is `to_facet`."""
     alpha, f0, mean = values[1], values[2], values[3]
@@ -194,7 +194,7 @@ def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, co
     return float(values[0] * (_schlick(f0, to_facet) * facets * masking + multiple))
 
 
-@subroutine()
+@compiled()
 def at_most(
     values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
@@ -209,7 +209,7 @@ def at_most(
     return _of_facets(values, 0.5 * sum_length - 0.5 * turn, facets, cos_in, cos_out)
 
 
-@subroutine()
+@compiled()
 def _facet_share(values: Floats, cos_in: float) -> float:
     """Share of directions that `sample` draws by a facet; the others are directions of multiple scattering."""
     # In proportion to the light of each. The Fresnel factor of single scattering is only estimated: any share is
@@ -219,7 +219,7 @@ def _facet_share(values: Floats, cos_in: float) -> float:
     return float(single / (single + multiple_share(f0, values[3]) * (1.0 - once)))
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     alpha, share = values[1], _facet_share(values, cos_in)
@@ -228,7 +228,7 @@ def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: flo
     return share * single + (1.0 - share) * _multiple_pdf(values, cos_out)
 
 
-@subroutine()
+@compiled()
 def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _facet_share(values, cos_in)

@@ -14,7 +14,7 @@ from typing import Any, ParamSpec, TypeVar
 from numba import types
 from numba.extending import overload
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
@@ -73,7 +73,7 @@ def pdf(kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> fl
     return _other_pdf(kind, values, n, w_in, w_out, dot(n, w_in), cos_out)
 
 
-@subroutine()
+@compiled()
 def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A unit direction `w_out` drawn with density `pdf` from a point (u, v) of the unit square.
 
@@ -84,7 +84,7 @@ def sample(kind: int, values: Floats, n: Vector, w_in: Vector, u: float, v: floa
     return _other_sample(kind, values, n, w_in, dot(n, w_in), u, v)
 
 
-@subroutine()
+@compiled()
 def widen(kind: int, values: Floats, span: float) -> None:
     """Widen the lobe of a material, in its row, to directions that vary by the angle `span`, rad, as a lobe may miss
     the middle of a piece of surface and still be bright elsewhere on it. What has no lobe stays as it is."""

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.records.materials import OrenNayar
 from datagen.transport.brdf.directions import Vector, around, dot, sample_cosine
@@ -48,7 +48,7 @@ def roughness(sigma_rad: float) -> float:
     return (0.45 * square / (square + 0.09)) / (1.0 - 0.5 * square / (square + 0.33))
 
 
-@subroutine()
+@compiled()
 def single_albedo(r: float, cosine: float) -> float:
     """E, the directional albedo of single scattering from white facets, at a cosine of incidence."""
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
@@ -70,25 +70,25 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     return float(values[0] / math.pi * (single + multiple))
 
 
-@subroutine()
+@compiled()
 def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """`models.evaluate_at_most` for OrenNayar, which has no lobe that could be missed."""
     return float(evaluate(values, w_in, w_out, cos_in, cos_out))
 
 
-@subroutine()
+@compiled()
 def widen(values: Floats, span: float) -> None:
     """`models.widen` for OrenNayar: nothing to widen."""
 
 
-@subroutine()
+@compiled()
 def _uniform_share(r: float, cos_in: float) -> float:
     """Share of directions that `sample` draws uniformly: at grazing incidence most light leaves at grazing angles,
     where cosine-distributed directions are rare."""
     return 0.5 * r * (1.0 - cos_in)
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     share = _uniform_share(values[1], cos_in)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.records.materials import Phong
 from datagen.transport.brdf.directions import (
@@ -56,13 +56,13 @@ def _lobe_share(exponent: float, cosine: Floats) -> Floats:
     return (exponent + 2) / (exponent + 1) / (2 * np.pi) * total
 
 
-@subroutine()
+@compiled()
 def widen(values: Floats, span: float) -> None:
     """`models.widen` for Phong: a lower exponent."""
     values[1] = min(values[1], 1.0 / (span * span))
 
 
-@subroutine()
+@compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     exponent, specular = values[1], values[2]
@@ -72,7 +72,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     return float(values[0] * (specular * lobe + (1.0 - specular) / math.pi))
 
 
-@subroutine()
+@compiled()
 def at_most(
     values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
@@ -86,7 +86,7 @@ def at_most(
     return float(values[0] * (specular * lobe + (1.0 - specular) / math.pi))
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     exponent, specular = values[1], values[2]
@@ -95,7 +95,7 @@ def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: flo
     return float(specular * lobe + (1.0 - specular) * cos_out / math.pi)
 
 
-@subroutine()
+@compiled()
 def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     exponent, specular = values[1], values[2]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.records.materials import Retroreflector
 from datagen.transport.brdf.directions import (
@@ -58,13 +58,13 @@ def concentration(half_width_rad: float) -> float:
     return math.log(2.0) / (2.0 * math.sin(half_width_rad / 2.0) ** 2)
 
 
-@subroutine()
+@compiled()
 def widen(values: Floats, span: float) -> None:
     """`models.widen` for retroreflectors: a lower concentration."""
     values[1] = min(values[1], 1.0 / (span * span))
 
 
-@subroutine()
+@compiled()
 def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
     """The von Mises–Fisher density on the sphere about `w_in`, 1/sr."""
     # 1 − cos of the angle is |w_in − w_out|²/2, which keeps its digits in a narrow lobe.
@@ -73,7 +73,7 @@ def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
     return kappa / (2.0 * math.pi * -math.expm1(-2.0 * kappa)) * math.exp(-kappa * one_minus_cos)
 
 
-@subroutine()
+@compiled()
 def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     retro = values[2]
@@ -81,7 +81,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
     return float(values[0] * (retro * lobe + (1.0 - retro) / math.pi))
 
 
-@subroutine()
+@compiled()
 def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float) -> float:
     """`models.evaluate_at_most` for retroreflectors: the lobe does not depend on the normal."""
     kappa, retro = values[1], values[2]
@@ -90,14 +90,14 @@ def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out:
     return float(values[0] * (retro * lobe / max(cos_in, cos_out) + (1.0 - retro) / math.pi))
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     retro = values[2]
     return float(retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi)
 
 
-@subroutine()
+@compiled()
 def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     kappa, retro = values[1], values[2]

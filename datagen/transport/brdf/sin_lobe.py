@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.records.materials import SinLobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
@@ -33,12 +33,12 @@ def share(material: SinLobe, cosine: Floats, azimuth_rad: Floats) -> Floats:
     return np.abs(np.sin(azimuth_rad))
 
 
-@subroutine()
+@compiled()
 def widen(values: Floats, span: float) -> None:
     """`models.widen` for SinLobe: nothing to widen."""
 
 
-@subroutine()
+@compiled()
 def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     """|sin θ| of the azimuth θ of `w` about the normal, measured from the projection of `axis` on the surface."""
     # By the projections of `axis` and `w`: the sine follows from their vector product without a trigonometric
@@ -53,14 +53,14 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     return min(abs(dot(cross, n)) / math.sqrt(tt * pp), 1.0)
 
 
-@subroutine()
+@compiled()
 def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
     return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
-@subroutine()
+@compiled()
 def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float) -> float:
     """`models.evaluate_at_most` for SinLobe."""
     # An azimuth turns by the turn of its direction, over the sine of the direction's polar angle.
@@ -72,13 +72,13 @@ def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float,
     return float(0.5 * values[0] * both)
 
 
-@subroutine()
+@compiled()
 def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
-@subroutine()
+@compiled()
 def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.binning import add_to_bin
 
@@ -99,7 +99,7 @@ def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
             sums.transient[p, i // SUB_BINS] += summed[p, i]
 
 
-@subroutine()
+@compiled()
 def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
     """Row r as a histogram: its first sub-bin, energies (n,) from there on, and their running sums (n + 1,).
 
@@ -159,7 +159,7 @@ def keep_strongest(paths: Paths, count: int) -> None:
                 row[k] = 0.0
 
 
-@subroutine()
+@compiled()
 def _ranked(values: Floats, rank: int) -> float:
     """The value at index `rank` of the sorted values; reorders `values`.
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, in_frame_of
 from datagen.transport.factorised.convolution import Paths
@@ -169,7 +169,7 @@ def leaving_paths(
     return Paths(first, position[:filled], energy[:filled]), density[:filled], origin[:filled], span[:filled]
 
 
-@subroutine()
+@compiled()
 def _send(origin, span, k, at, to):  # type: ignore[no-untyped-def]
     """Write the shadow ray of path k, from `at` to `to`, both in embree's frame, into `origin` and `span`."""
     # A span that is not normalised ends the ray at `to`.
@@ -208,7 +208,7 @@ def observing_rays(lookins: Lookins, points: Floats, room: Room) -> tuple[Single
     return origin, direction
 
 
-@subroutine()
+@compiled()
 def _scattering(u, v, laser, normal_o, part_o, kind, values):  # type: ignore[no-untyped-def]
     """f₁ · fₒ, 1/sr², of light that goes by the vector u from the laser point to o, and on by the vector v."""
     normal_1, to_laser, part_1 = laser
@@ -222,7 +222,7 @@ def _scattering(u, v, laser, normal_o, part_o, kind, values):  # type: ignore[no
     return f1 * evaluate(kind[part_o], values[part_o], normal_o, back, (v[0] / rb, v[1] / rb, v[2] / rb))
 
 
-@subroutine()
+@compiled()
 def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: ignore[no-untyped-def]
     """form₁ form_b over the expected number of samples per area of o and of b; 0 where a surface faces away.
 
@@ -246,7 +246,7 @@ def _weight(u, v, normal_1, normal_o, normal_b, samples, near_square):  # type: 
     return pair_1 * pair_b * math.pi / expected if expected > 0.0 else 0.0
 
 
-@subroutine()
+@compiled()
 def _observed_point(start, face, w, room):  # type: ignore[no-untyped-def]
     """Point where a ray from `start` along w meets the plane of a face, unit normal towards `start`, and whether the
     ray meets it.

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 
-@subroutine()
+@compiled()
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
     """Arrival times, bins, at the three vertices of a triangle whose times have the mean of a, b and c and a variance
     that is larger by `variance`, bins²: those of an element seen from a footprint that is not a point."""
@@ -44,7 +44,7 @@ def spread(
     return pour(histogram, row, tent(a, b, c, at_a, at_b, at_c, energy), energy)
 
 
-@subroutine()
+@compiled()
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -70,7 +70,7 @@ def tent(
     return a, b, c, low, up, high, down
 
 
-@subroutine()
+@compiled()
 def pour(
     histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
 ) -> float:

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.geometry import half, subtract, transmittance
@@ -55,7 +55,7 @@ def room_for_clear() -> tuple[Floats, Floats, Floats]:
     return np.empty((MOST_CLEAR + 256 * WIDE, STACKED)), np.empty(NUMBERS * WIDE), np.empty(NUMBERS * WIDE)
 
 
-@subroutine()
+@compiled()
 def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from):  # type: ignore[no-untyped-def]
     """Height of the stack of clear elements, after entry k of `cell` was put on it.
 
@@ -78,7 +78,7 @@ def put_clear(clear, waiting, cell, k, f, q, lit_from, kind2, values2, seen_from
     return waiting + 1
 
 
-@subroutine()
+@compiled()
 def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untyped-def]
     """Set weight, R₁ and R₂ at the points of the first `count` elements of a batch, as `weights.weight` does."""
     for j in range(min(count, WIDE)):
@@ -100,13 +100,13 @@ def light_at_points(batch, count, x, n1, attenuation):  # type: ignore[no-untype
             batch[LIGHT * WIDE + j] *= transmittance(attenuation, path)
 
 
-@subroutine()
+@compiled()
 def _at(batch, row, j):  # type: ignore[no-untyped-def]
     """The vector whose components are numbers `row`, `row` + 1 and `row` + 2 of element j of a batch."""
     return (batch[row * WIDE + j], batch[(row + 1) * WIDE + j], batch[(row + 2) * WIDE + j])
 
 
-@subroutine()
+@compiled()
 def _middles(batch, count):  # type: ignore[no-untyped-def]
     """Set the points of a batch to the middles of its elements; and length and number of their longest sides."""
     for j in range(min(count, WIDE)):
@@ -120,7 +120,7 @@ def _middles(batch, count):  # type: ignore[no-untyped-def]
         batch[(LONG + 1) * WIDE + j] = 0.0 if (ab >= bc) & (ab >= ca) else other
 
 
-@subroutine()
+@compiled()
 def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-def]
     """Set the verdicts of a batch whose weights in the middle are known: DROPPED, SPREAD, CUT or QUARTERED.
 
@@ -149,7 +149,7 @@ def _verdicts(batch, count, x, n1, allowed, clock):  # type: ignore[no-untyped-d
         batch[BEND * WIDE + j] = bend
 
 
-@subroutine()
+@compiled()
 def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
     """Set energy and `tent` of each element of a batch, as `_spread` in the kernel has them.
 
@@ -176,7 +176,7 @@ def _tents(batch, count, per_metre, start):  # type: ignore[no-untyped-def]
             batch[(TENT + i) * WIDE + j] = shape[i]
 
 
-@subroutine()
+@compiled()
 def _copy_to_batch(clear, first, count, batch, normal, p, lit, device, patches):  # type: ignore[no-untyped-def]
     """Copy `count` elements of the stack, from index `first` on, into a batch, with all that belongs to their
     triangles and footprints.
@@ -205,7 +205,7 @@ def _copy_to_batch(clear, first, count, batch, normal, p, lit, device, patches):
         batch[LEGS * WIDE + j] = lit.leg + leg3[p, q] if device else 0.0
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def spread_clear(room, waiting, scan, lit, p, allowed, histogram, into, free):  # type: ignore[no-untyped-def]
     """Halve the `waiting` elements of the stack as often as needed, and add their light to row `into` of a histogram.
 

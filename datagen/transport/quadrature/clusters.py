@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import bounding_sphere, corner, distance, subtract, transmittance
 from datagen.transport.sampling import mix
@@ -17,7 +17,7 @@ COARSEST = 0.8
 Half of it makes four times as many elements near a laser point or a pixel."""
 
 
-@subroutine()
+@compiled()
 def is_small(boxes, at, x, z, most, allowed, attenuation):  # type: ignore[no-untyped-def]
     """Whether a box is so small and faint that one point may stand for all of it; and its distance from z, metres.
 
@@ -33,7 +33,7 @@ def is_small(boxes, at, x, z, most, allowed, attenuation):  # type: ignore[no-un
     return 0.5 * most / (near1 * near1 * near3 * near3) <= allowed, near3
 
 
-@subroutine()
+@compiled()
 def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
     """Upper bound of the product of the cosines at x and at a box's surface, on any line between them.
 
@@ -52,7 +52,7 @@ def facing_at_most(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-u
     return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
 
 
-@subroutine()
+@compiled()
 def point_on_triangles(first, last, area_before, corners, word):  # type: ignore[no-untyped-def]
     """Index of one of the triangles first … last − 1 and a point on it, drawn uniformly by area.
 
@@ -62,7 +62,7 @@ def point_on_triangles(first, last, area_before, corners, word):  # type: ignore
     return f, point_on_triangle(corner(corners, f, 0), corner(corners, f, 1), corner(corners, f, 2), word)
 
 
-@subroutine()
+@compiled()
 def point_on_triangle(a, b, c, word):  # type: ignore[no-untyped-def]
     """A point drawn uniformly by area on the triangle a, b, c; word : random word."""
     u = math.sqrt((np.float64(mix(word, np.uint64(1))) + 0.5) * 2.0**-32)
@@ -71,7 +71,7 @@ def point_on_triangle(a, b, c, word):  # type: ignore[no-untyped-def]
     return (r * a[0] + s * b[0] + t * c[0], r * a[1] + s * b[1] + t * c[1], r * a[2] + s * b[2] + t * c[2])
 
 
-@subroutine()
+@compiled()
 def side_turned(d, radius, axis, cosine, sine):  # type: ignore[no-untyped-def]
     """Side that all surface within a sphere turns to a point: 1 if it is the side of the surface's normals, −1 if it
     is the other side, 0 if this is not proven.

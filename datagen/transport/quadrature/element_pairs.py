@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
 from datagen.transport.geometry import get, put, subtract, transmittance
@@ -129,7 +129,7 @@ class Found(NamedTuple):
         return cls(np.empty((count, 3)), np.empty(count, np.int64), rays[0], rays[1])
 
 
-@subroutine()
+@compiled()
 def _joined(one, i, two, j, parts, optics):  # type: ignore[no-untyped-def]
     """Energy of a pair of elements without occlusion, upper bound of that energy for any direction of their lobes,
     distance, mean and variance of the path, share of the pair that faces each other, and the mean position of that
@@ -195,19 +195,19 @@ def _joined(one, i, two, j, parts, optics):  # type: ignore[no-untyped-def]
     return all_but_f * f1 * f2, all_but_f * f_most, r, path, variance, share, y1, y2
 
 
-@subroutine()
+@compiled()
 def _of_clusters(one, i, two, j):  # type: ignore[no-untyped-def]
     """Sum of the squared sizes, m², of those of two elements that are clusters; 0 for two triangles."""
     return one[i, CLUSTERED] * one[i, LONG] * one[i, LONG] + two[j, CLUSTERED] * two[j, LONG] * two[j, LONG]
 
 
-@subroutine()
+@compiled()
 def _too_near(one, i, two, j, r):  # type: ignore[no-untyped-def]
     """1 if a cluster is `TOO_NEAR` to another element, else 0."""
     return 1.0 if r * r < TOO_NEAR * _of_clusters(one, i, two, j) else 0.0
 
 
-@subroutine()
+@compiled()
 def _positive(cosine, turned, other, k, per, n):  # type: ignore[no-untyped-def]
     """Mean of the positive part of the cosine between a cluster's normals, whose mean is n, and the directions to
     the points of another element. Cosines are taken as evenly distributed, with the variance of normals and
@@ -261,7 +261,7 @@ def _facing(one, i, two, j):  # type: ignore[no-untyped-def]
     return y1, y2, share
 
 
-@subroutine()
+@compiled()
 def _below(elements, k, others, m):  # type: ignore[no-untyped-def]
     """Whether no vertex of triangle k is above the plane of triangle m; false if one of them is a cluster.
 
@@ -276,7 +276,7 @@ def _below(elements, k, others, m):  # type: ignore[no-untyped-def]
     return highest <= FLAT * max(elements.known[k, LONG], others.known[m, LONG])
 
 
-@subroutine()
+@compiled()
 def _error(one, i, two, j, most, sharpest, r, variance, share, haze):  # type: ignore[no-untyped-def]
     """Estimated L2 error of a pair of elements, in the units of `most`.
 
@@ -299,7 +299,7 @@ def _error(one, i, two, j, most, sharpest, r, variance, share, haze):  # type: i
     return most * wrong / math.sqrt(math.sqrt(1.0 + 24.0 * variance))
 
 
-@subroutine()
+@compiled()
 def _which(one, i, two, j):  # type: ignore[no-untyped-def]
     """Which of two elements to halve: 1 or 2 for the larger one, 0 for neither. Clusters are not halved, nor are
     elements much smaller than the cluster that they face."""
@@ -312,7 +312,7 @@ def _which(one, i, two, j):  # type: ignore[no-untyped-def]
     return 1 if h1 >= h2 else 2
 
 
-@subroutine()
+@compiled()
 def _ray_from(elements, k, turn, y, other):  # type: ignore[no-untyped-def]
     """Point of element k at which the shadow ray to point `other` starts, and the normal there: the mean position y
     for a triangle, one of the three stored points for a cluster, whose mean position may lie inside a solid."""
@@ -403,7 +403,7 @@ def join(begin, pairs, lit, ones, seen, twos, optics, rules, found, waiting):  #
     return (len(pairs.ends), -1, -1), count, looked_at, near
 
 
-@subroutine()
+@compiled()
 def _note(found, k, row, arrival, y1, n1, y2, n2, rules):  # type: ignore[no-untyped-def]
     """Write row k of `found`: the histogram, the arrival, and the shadow ray from y1 to y2."""
     found.row[k] = row
@@ -436,7 +436,7 @@ def arrive(found, count, hidden, knots, photons):  # type: ignore[no-untyped-def
         _knot(knots, row, at + wide, weight)
 
 
-@subroutine()
+@compiled()
 def _knot(knots, row, at, weight):  # type: ignore[no-untyped-def]
     """Add a knot to histogram `row`: from time `at` (in bins) on, the light that has arrived by time x grows by
     weight (x − at)²/2."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
@@ -137,7 +137,7 @@ class Patches(NamedTuple):
         )  # fmt: skip
 
 
-@subroutine()
+@compiled()
 def finest_within(quarters, q, word):  # type: ignore[no-untyped-def]
     """Index of one of the finest footprints within footprint q, at random; q itself if it has no quarters.
 

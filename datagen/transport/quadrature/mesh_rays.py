@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, in_frame_of
@@ -226,7 +226,7 @@ def _plan(pairs, batch, scan, outlines, fans):  # type: ignore[no-untyped-def]
     return n
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _frame(o, k, outlines, frame, n):  # type: ignore[no-untyped-def]
     """Approximate solid angle of mesh k seen from o, sr, after its frame was written to row n of `frame`."""
     axis = subtract(get(outlines.middle, k, 0), o)
@@ -251,7 +251,7 @@ def _frame(o, k, outlines, frame, n):  # type: ignore[no-untyped-def]
     return (most - left) * (high - low)
 
 
-@subroutine()
+@compiled()
 def _direction(fans, fan, j, n, word):  # type: ignore[no-untyped-def]
     """Direction of ray j of a fan, of any length; the derivatives of that vector along the two sides of the frame;
     and the solid angle of the fan if all its rays stood as densely as this one, sr.
@@ -280,7 +280,7 @@ def _direction(fans, fan, j, n, word):  # type: ignore[no-untyped-def]
     return d, right, up, math.sqrt(dot(right, right) * dot(up, up)) / (square * math.sqrt(square))
 
 
-@subroutine()
+@compiled()
 def _word(scan, tally, fans, fan):  # type: ignore[no-untyped-def]
     """Random word of a fan. It depends on the pair and the mesh, but not on how footprints are quartered."""
     return word_of(scan.cutting.seed[fans.part[fan]], tally.number[fans.pair[fan]], fans.part[fan])
@@ -366,7 +366,7 @@ def _connect(  # type: ignore[no-untyped-def]
     return m
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _points(patches, p, y, footprint_ratio, word, chosen, waiting):  # type: ignore[no-untyped-def]
     """Number of footprints of row p that are connected with y, which are written to `chosen`.
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot
 from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, subtract
@@ -212,7 +212,7 @@ def gather(pairs, scan, by_rays, tally, room):  # type: ignore[no-untyped-def]
             return
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):  # type: ignore[no-untyped-def]
     """Number of elements and shadow rays that it took to add the light of part k to the histogram of one pair.
 
@@ -315,7 +315,7 @@ def _gather_part(pair, p, k, lit, two_legs, strongest, left, scan, tally, room):
     return cells + rays
 
 
-@subroutine()
+@compiled()
 def _digit(turn, share):  # type: ignore[no-untyped-def]
     """Index (0–3) of the quarter that stands for all four: digit log₄(share) of `turn` in base 4, the last digit
     first.
@@ -329,7 +329,7 @@ def _digit(turn, share):  # type: ignore[no-untyped-def]
     return turn & 3
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
     """The `View` from footprint q of row p to elements of part k; the footprint stands for `share` footprints.
 
@@ -352,7 +352,7 @@ def _view(scan, lit, p, q, k, share, number):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ignore[no-untyped-def]
     """Upper bound of the photons from a box or element to an uneven footprint, −1 if there are none; whether the box
     or element is so large that it is divided before the footprint is quartered; and number of its longest side."""
@@ -375,7 +375,7 @@ def _brightest(scan, lit, p, q, what, at, cell, top, k, strongest):  # type: ign
     return at_most * light_at_most(m, h, area, rise, height, lit.x, z, size, attenuation), halve, side
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     """What becomes of a box of the BVH: DROPPED, OPENED, QUARTERED, IN_TURN or ONE_POINT."""
     tree, x, z = scan.tree, lit.x, view.z
@@ -415,7 +415,7 @@ def _of_box(scan, lit, view, at, k):  # type: ignore[no-untyped-def]
     return ONE_POINT if small else OPENED
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type: ignore[no-untyped-def]
     """Let one random point stand for a faint box; returns the elements spread and the rays asked, 0 or 1 each."""
     tree, x, clock = scan.tree, lit.x, scan.clock
@@ -436,7 +436,7 @@ def _one_point(scan, lit, view, at, k, candidates, listed, tally, into):  # type
     return 1, 1
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _light_at_vertices(  # type: ignore[no-untyped-def]
     scan, lit, view, what, f, k, candidates, room, top, alight
 ):  # fmt: skip
@@ -467,7 +467,7 @@ def _light_at_vertices(  # type: ignore[no-untyped-def]
     return SPREAD
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _seen_round_bend(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
     """Whether the element at `top`, on triangle f, might send more light than it may miss to parts of the footprint
     that are turned against its middle, which does not see the element."""
@@ -482,7 +482,7 @@ def _seen_round_bend(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyp
     return at_most > view.allowed_alike
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-def]
     """The `Element` at `top` of the stack, which lies on triangle f."""
     n, a, (m, side, h) = get(scan.tree.normal, f, 0), vertex_of(cell, top, 0), middle_of(cell, top)
@@ -493,7 +493,7 @@ def _as_element(scan, lit, view, f, k, cell, top):  # type: ignore[no-untyped-de
     return Element(f, m, n, h, side, w, r1, r3, rise1, rise3)
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-def]
     """What becomes of an element that nothing hides: DROPPED, QUARTERED, CUT or SPREAD; the L2 error if all its light
     were missing, photons; and the `bend` of its arrival times (`weights.verdict`)."""
@@ -532,7 +532,7 @@ def _judge(scan, lit, view, element, k, cell, top):  # type: ignore[no-untyped-d
     return QUARTERED if quarter else CUT if cut else SPREAD, OUTSIDE * norm if unseen else norm, bend
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top):  # type: ignore[no-untyped-def]
     """What becomes of an element by what shadow rays find of it, DROPPED, CUT or SPREAD; and the number of rays.
 
@@ -563,7 +563,7 @@ def _look(scan, lit, view, element, k, becomes, at_stake, candidates, room, top)
     return CUT if cut else SPREAD, rays
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
     """Whether it is proven that one triangle hides all of an element from the laser point or from the footprint."""
     (first, middle, last), row, listed, cell = candidates, scan.occluders.row, room.listed, room.cell
@@ -573,7 +573,7 @@ def _proven_hidden(scan, lit, view, element, candidates, room, top):  # type: ig
     )
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _points_seen(scan, lit, view, element, count, candidates, room, top):  # type: ignore[no-untyped-def]
     """Number of random points of an element, out of `count` (1 or 3), that the laser point lights and the footprint
     sees; and number of points tried, fewer than `count` as soon as some are seen and some are not."""
@@ -593,7 +593,7 @@ def _points_seen(scan, lit, view, element, count, candidates, room, top):  # typ
     return seen, rays
 
 
-@subroutine()
+@compiled()
 def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
     """Random word of the place y, a vector from the laser point, metres. It depends neither on where the scene lies
     nor on the order of its triangles."""
@@ -604,7 +604,7 @@ def _word_at(word, y, extent):  # type: ignore[no-untyped-def]
     return word
 
 
-@subroutine()
+@compiled()
 def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def]
     """Whether the laser point x lights y on triangle f and the footprint at z sees it."""
     first, middle, last = candidates
@@ -613,7 +613,7 @@ def _seen(y, x, z, f, candidates, hides, listed):  # type: ignore[no-untyped-def
     return middle == last or hidden(z, y, f, middle, last, hides, listed) == 0
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no-untyped-def]
     """Bounds of the lists of those candidates that may hide some of the element at `top`, for its halves.
 
@@ -629,7 +629,7 @@ def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no
     return last, half_way, narrowed(view.z, a, b, c, f, middle, last, half_way, row, listed)
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no-untyped-def]
     """New height of the stack, after the box or element at `top` was put there once for each quarter of footprint q,
     or once for quarter `only` ≥ 0, which then stands for all four."""
@@ -654,7 +654,7 @@ def _quarter(scan, room, top, what, at, q, candidates, only):  # type: ignore[no
     return top
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
     """New height of the stack, after the two boxes within box `at`, or its triangles, were put there."""
     tree, tag, cell = scan.tree, room.tag, room.cell
@@ -670,7 +670,7 @@ def _open(scan, room, top, at, q, candidates):  # type: ignore[no-untyped-def]
     return top
 
 
-@subroutine(**STEP)
+@compiled(**STEP)
 def _spread(scan, view, element, bend, cell, top, histogram, into):  # type: ignore[no-untyped-def]
     """Photons outside the window of time, after the light of the element at `top` was added to row `into`."""
     per_metre, wa, wb, wc = scan.clock.per_metre, cell[top, 3], cell[top, 8], cell[top, 13]

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
 from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, longest, put, subtract
@@ -171,7 +171,7 @@ def elements_of(
         room *= 4
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def lit(y, n, p, ends, optics):  # type: ignore[no-untyped-def]
     """w(y) of end p without occlusion, and the mean path, for a surface at y whose normal n is on the end's side."""
     point, part = ends.point[p], ends.part
@@ -197,7 +197,7 @@ def lit(y, n, p, ends, optics):  # type: ignore[no-untyped-def]
     return w, path / whole
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _lit_at_most(y, n, h, p, ends, optics):  # type: ignore[no-untyped-def]
     """Upper bound of w over an element of length h about y, if the lobes at end p point anywhere within it."""
     point, part, w = ends.point[p], ends.part, 0.0
@@ -217,7 +217,7 @@ def _lit_at_most(y, n, h, p, ends, optics):  # type: ignore[no-untyped-def]
     return w
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def condense(elements, k, p, ends, optics):  # type: ignore[no-untyped-def]
     """Fill the columns of `known` of triangle k of end p from `corner`, except `NORMAL`, `BACK` and `BLUR`.
 
@@ -257,7 +257,7 @@ def condense(elements, k, p, ends, optics):  # type: ignore[no-untyped-def]
     _, known[k, LONG] = longest(a, b, c)
 
 
-@subroutine()
+@compiled()
 def halves_of(elements, k, p, ends, optics):  # type: ignore[no-untyped-def]
     """Row of the first of the two halves of element k of end p, which follow each other; −1 if there is no room.
 
@@ -287,7 +287,7 @@ def halves_of(elements, k, p, ends, optics):  # type: ignore[no-untyped-def]
     return first
 
 
-@subroutine()
+@compiled()
 def forget_halves(elements):  # type: ignore[no-untyped-def]
     """Drop all halves if they fill more than half of their room, so that memory stays bounded."""
     whole, rows = elements.first[-1], len(elements.halves)
@@ -298,7 +298,7 @@ def forget_halves(elements):  # type: ignore[no-untyped-def]
         elements.used[0] = whole
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _mean(ends, p):  # type: ignore[no-untyped-def]
     """Mean position of an end's points, and the index of one of the points, −1 if the end has none."""
     point, part = ends.point[p], ends.part
@@ -314,7 +314,7 @@ def _mean(ends, p):  # type: ignore[no-untyped-def]
     return (x, y, z), one
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
     """Whether any of box `at` lies above the surface at any point of end p."""
     for q in range(ends.part.shape[1]):
@@ -324,7 +324,7 @@ def _faces_any(box, at, ends, p):  # type: ignore[no-untyped-def]
     return False
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     """Variance of the path to y over the points of end p, m²; `mean` is the mean path."""
     variance, points = 0.0, ends.part.shape[1]
@@ -339,7 +339,7 @@ def _blur(y, p, ends, mean):  # type: ignore[no-untyped-def]
     return variance * points / max(points - 1, 1)
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _point_in_turn(turn, p, one, ends):  # type: ignore[no-untyped-def]
     """Position of a point of end p, another one for each `turn`, so that rays come from all over a footprint."""
     # A missing point is replaced by point `one`, which exists.
@@ -347,7 +347,7 @@ def _point_in_turn(turn, p, one, ends):  # type: ignore[no-untyped-def]
     return get(ends.point[p], q if ends.part[p, q] >= 0 else one, 0)
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _draw(at, p, end, turn, ends, tree, hides, optics, seed, scratch):  # type: ignore[no-untyped-def]
     """Draw triangles of box `at`, one from each of `DRAWN` equal shares of its area, or all if there are fewer.
 
@@ -389,7 +389,7 @@ def _draw(at, p, end, turn, ends, tree, hides, optics, seed, scratch):  # type: 
     return found, whole, rays
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _cluster(at, p, end, ends, tree, hides, optics, seed, out, scratch):  # type: ignore[no-untyped-def]
     """Make one element of the triangles of box `at` that end p lights, in the next row of `out`; returns the number
     of shadow rays. The element's light is 0 if none of the drawn triangles is lit.
@@ -439,14 +439,14 @@ def _cluster(at, p, end, ends, tree, hides, optics, seed, out, scratch):  # type
     return rays
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _towards(y, x):  # type: ignore[no-untyped-def]
     """The unit vector from y to x."""
     d = distance(x, y)
     return ((x[0] - y[0]) / d, (x[1] - y[1]) / d, (x[2] - y[2]) / d)
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _scatter(drawn, found, y, length, whole):  # type: ignore[no-untyped-def]
     """Covariance of the positions of drawn triangles, weighted with their light, as xx, xy, xz, yy, yz, zz; and the
     covariance of position and path, as x, y, z; all in m². `y`, `length` and `whole` are mean position, mean path and
@@ -463,7 +463,7 @@ def _scatter(drawn, found, y, length, whole):  # type: ignore[no-untyped-def]
     return (xx, xy, xz, yy, yz, zz), (rx, ry, rz)
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _spans(spread, along, known, k):  # type: ignore[no-untyped-def]
     """Fill `SPAN`, `ALONG` and `LONG` of cluster k from its covariances; returns the variance along the third
     direction, m², for which there is no column: the caller adds it to `BLUR`."""
@@ -542,7 +542,7 @@ def _cut(ends, tree, occluders, optics, fineness, out, scratch):  # type: ignore
     return rays
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, scratch):  # type: ignore[no-untyped-def]
     """Halve triangle f of part k until its pieces are elements of end p, and put those that are lit into `out`.
 
@@ -627,7 +627,7 @@ def _cut_triangle(f, p, k, end, ends, tree, occluders, optics, fineness, out, sc
     return rays
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _put_vertices(out, to, vertices, n, p, ends, optics):  # type: ignore[no-untyped-def]
     """Put three vertices, and w and the path at each, into row `to`; returns the largest w."""
     brightest = 0.0
@@ -639,7 +639,7 @@ def _put_vertices(out, to, vertices, n, p, ends, optics):  # type: ignore[no-unt
     return brightest
 
 
-@subroutine(_nrt=False)
+@compiled(_nrt=False)
 def _halve(waits, area, top, side):  # type: ignore[no-untyped-def]
     """Replace the piece at `top` of the stack by its two halves, at `top` and `top + 1`, cut at the midpoint of
     `side`."""

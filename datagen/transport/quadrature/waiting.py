@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import subroutine
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import get, longest, put, subtract
 
@@ -21,7 +21,7 @@ weights; and an element from the stack of clear elements (`clear_elements.py`) t
 its footprint. They are np.int64, because numba compiles a function anew for each plain int."""
 
 
-@subroutine()
+@compiled()
 def push(tag, top, what, at, q, candidates):  # type: ignore[no-untyped-def]
     """New height of the stack, after the tag of a box or element was put on it; its `cell` is already in place.
 
@@ -33,27 +33,27 @@ def push(tag, top, what, at, q, candidates):  # type: ignore[no-untyped-def]
     return top + 1
 
 
-@subroutine()
+@compiled()
 def put_vertex(cell, k, vertex, y, w, path):  # type: ignore[no-untyped-def]
     """Set vertex 0, 1 or 2 of entry k to the point y, metres, with its weight w and the path by way of it, metres."""
     put(cell, k, 5 * vertex, y)
     cell[k, 5 * vertex + 3], cell[k, 5 * vertex + 4] = w, path
 
 
-@subroutine()
+@compiled()
 def vertex_of(cell, k, vertex):  # type: ignore[no-untyped-def]
     """Vertex 0, 1 or 2 of entry k, metres."""
     return get(cell, k, 5 * vertex)
 
 
-@subroutine()
+@compiled()
 def copy_cell(cell, k, to):  # type: ignore[no-untyped-def]
     """Copy the numbers of entry k to entry `to`."""
     for j in range(18):
         cell[to, j] = cell[k, j]
 
 
-@subroutine()
+@compiled()
 def middle_of(cell, k):  # type: ignore[no-untyped-def]
     """The middle of entry k, metres; the number of its longest side (0 for ab, 1 for bc, 2 for ca); and that side's
     length, metres."""
@@ -62,7 +62,7 @@ def middle_of(cell, k):  # type: ignore[no-untyped-def]
     return ((a[0] + b[0] + c[0]) / 3, (a[1] + b[1] + c[1]) / 3, (a[2] + b[2] + c[2]) / 3), side, h
 
 
-@subroutine()
+@compiled()
 def highest_above(cell, k, x, n):  # type: ignore[no-untyped-def]
     """Height of the highest vertex of entry k above the plane through x with normal n, metres."""
     a, b, c = (
@@ -73,7 +73,7 @@ def highest_above(cell, k, x, n):  # type: ignore[no-untyped-def]
     return max(dot(a, n), dot(b, n), dot(c, n))
 
 
-@subroutine()
+@compiled()
 def push_halves(room, top, side, vertex, what, at, q, candidates):  # type: ignore[no-untyped-def]
     """New height of the stack, after the element at `top` was replaced by its two halves.
 
@@ -89,7 +89,7 @@ def push_halves(room, top, side, vertex, what, at, q, candidates):  # type: igno
     return push(tag, top, what, at, q, candidates)
 
 
-@subroutine()
+@compiled()
 def push_boxes(tag, cell, top, both, q, candidates):  # type: ignore[no-untyped-def]
     """New height of the stack, after the box at `top` was replaced by the two boxes within it, `both`."""
     # Of a box, `cell` has no vertices: only the last two numbers are handed on.

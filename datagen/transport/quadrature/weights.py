@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot, evaluate, evaluate_at_most
 from datagen.transport.geometry import distance, subtract, transmittance
 from datagen.transport.quadrature.clusters import COARSEST
@@ -32,7 +32,7 @@ OUTSIDE = 0.01
 so that only its energy matters. Half of it only takes time."""
 
 
-@subroutine()
+@compiled()
 def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  # type: ignore[no-untyped-def]
     """Weight w(y) without the laser's power and the sensor's factor W, 1/(m⁴ sr³); and distances R₁ and R₂, metres.
 
@@ -62,7 +62,7 @@ def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  
     return w * transmittance(attenuation, r1 + r3), r1, r3
 
 
-@subroutine()
+@compiled()
 def weight_at_most(  # type: ignore[no-untyped-def]
     y, n, kind2, values2, lit_from, seen_from, footprint, attenuation, h, size, tilt
 ):  # fmt: skip
@@ -113,7 +113,7 @@ def outside(paths, middle, legs, size, opens, closes):  # type: ignore[no-untype
     return (most + legs + 2.0 * size < opens) | (3.0 * middle - 2.0 * most + legs - 2.0 * size > closes)
 
 
-@subroutine()
+@compiled()
 def verdict(paths, light, lengths, view, limits, air_and_bins, unseen):  # type: ignore[no-untyped-def]
     """Whether an element is halved, or its footprint quartered, before its light is added to the histogram.
 
@@ -161,7 +161,7 @@ def verdict(paths, light, lengths, view, limits, air_and_bins, unseen):  # type:
     return cut, quarter, norm if judged else np.inf, bend
 
 
-@subroutine()
+@compiled()
 def footprint_variance(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
     """Variance of the path over footprint q of row p, m².
 
@@ -172,7 +172,7 @@ def footprint_variance(d3, to_sensor, device, across, p, q):  # type: ignore[no-
     return one * one / 12 + two * two / 12
 
 
-@subroutine()
+@compiled()
 def path_changes(d3, to_sensor, device, across, p, q):  # type: ignore[no-untyped-def]
     """Change of the path along the two sides of footprint q of row p, metres; arguments: `footprint_variance`."""
     towards = to_sensor if device else (0.0, 0.0, 0.0)
@@ -181,7 +181,7 @@ def path_changes(d3, to_sensor, device, across, p, q):  # type: ignore[no-untype
     return _changes(d3, math.sqrt(dot(d3, d3)), towards, sides, others)
 
 
-@subroutine()
+@compiled()
 def path_variance(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
     """Variance of the path over a footprint, m², if the path changes linearly over it.
 
@@ -192,7 +192,7 @@ def path_variance(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-de
     return one * one / 12 + two * two / 12
 
 
-@subroutine()
+@compiled()
 def _changes(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
     """Change of the path along two sides of a footprint, metres; arguments as of `path_variance`."""
     per = 1.0 / r3
@@ -200,7 +200,7 @@ def _changes(d3, r3, to_sensor, side, other):  # type: ignore[no-untyped-def]
     return dot(g, side), dot(g, other)
 
 
-@subroutine()
+@compiled()
 def light_at_most(m, radius, area, rise, height, x, z, size, attenuation):  # type: ignore[no-untyped-def]
     """Upper bound of the light of a box or element, lit from x and seen from any point within `size` of z: per photon
     at x, for BRDFs of 1/sr and a sensor's factor W of one.

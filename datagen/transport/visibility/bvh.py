@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
@@ -189,7 +189,7 @@ def _divide(low, high, order, box, link):  # type: ignore[no-untyped-def]
     return n
 
 
-@subroutine()
+@compiled()
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     """Index of the bin, along an axis, of the middle of triangle f.
 
@@ -201,7 +201,7 @@ def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
 
 
-@subroutine()
+@compiled()
 def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     """Add to `cost` (BINS,), for the cut below each bin, the number of triangles times the area of the box about them
     on one side of the cut: the lower side for step 1, the upper side for step −1.
@@ -251,7 +251,7 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
     return cone
 
 
-@subroutine()
+@compiled()
 def triangle_by_area(first, last, area_before, word):  # type: ignore[no-untyped-def]
     """Index of one of the triangles first … last − 1, drawn with a probability proportional to its area.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats
 
 
@@ -49,7 +49,7 @@ def _highest(triangle: Floats, base: Floats, normal: Floats) -> float:
     return most
 
 
-@subroutine()
+@compiled()
 def _normal_towards(sides: Floats, i: int, p: Floats, q: Floats, inner: Floats) -> None:
     """Set row i of `sides` to p × q or to its opposite, whichever points in the direction `inner`."""
     x, y, z = p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]

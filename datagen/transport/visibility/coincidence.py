@@ -86,7 +86,11 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
     sources = _sources(caster, capture)
     vertices, triangles = scene.vertices, np.array(scene.triangles)
     # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
-    level, moves, lying = np.zeros(len(triangles), np.int64), list[tuple[int, Ints, Floats]](), list[tuple[str, str]]()
+    level, moves, lying = (
+        np.zeros(len(triangles), np.int64),
+        list[tuple[int, Ints, Floats]](),
+        list[tuple[str, str]](),
+    )
 
     def rank(part: int) -> tuple[bool, int]:
         return scene.roles[part] == "object", part
@@ -113,7 +117,10 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         used, index = np.unique(triangles[own], return_inverse=True)
         triangles[own] = (len(vertices) + index).reshape(-1, 3)
         # Vertices of its own, as those of a part below must stay.
-        vertices, shift = np.concatenate([vertices, vertices[used]]), np.concatenate([shift, np.zeros((len(used), 3))])
+        vertices, shift = (
+            np.concatenate([vertices, vertices[used]]),
+            np.concatenate([shift, np.zeros((len(used), 3))]),
+        )
     for _, rows, move in moves:
         moved = np.unique(triangles[rows])
         length = float(np.linalg.norm(move))
@@ -137,7 +144,9 @@ def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
     places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
     starts = places + 2.0 * side * caster.offset_m * plane.normal
     direct = _seen(caster, starts, sources)
-    hits = caster.closest(np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    hits = caster.closest(
+        np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1))
+    )
     beyond = (hits.position + caster.offset_m * hits.normal)[hits.valid]
     return direct + _seen(caster, beyond, sources)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
@@ -118,7 +118,7 @@ def _mark_overlapping(corners, normal, walls, near, hides):  # type: ignore[no-u
                 break
 
 
-@subroutine()
+@compiled()
 def _apart_in_plane(corners, normal, f, g, near):  # type: ignore[no-untyped-def]
     """Whether triangles f and g of one plane do not overlap: a side of one of them separates the two, up to
     `near`."""
@@ -129,13 +129,13 @@ def _apart_in_plane(corners, normal, f, g, near):  # type: ignore[no-untyped-def
     return False
 
 
-@subroutine()
+@compiled()
 def _side(corners, f, i):  # type: ignore[no-untyped-def]
     """The vector along side i (0–2) of triangle f, metres."""
     return subtract(corner(corners, f, (i + 1) % 3), corner(corners, f, i))
 
 
-@subroutine()
+@compiled()
 def _along(corners, f, g, axis):  # type: ignore[no-untyped-def]
     """Least and greatest coordinate of triangle f along an axis, counted from the first corner of triangle g."""
     a = corner(corners, g, 0)
@@ -146,7 +146,7 @@ def _along(corners, f, g, axis):  # type: ignore[no-untyped-def]
     return min(one, two, three), max(one, two, three)
 
 
-@subroutine()
+@compiled()
 def _apart(corners, f, g, axis, near):  # type: ignore[no-untyped-def]
     """Whether triangles f and g do not overlap along an axis, or by at most `near` metres."""
     length = math.sqrt(dot(axis, axis))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import above, cross, get, subtract
 from datagen.transport.visibility.occluder_rows import FIRST, FLAT, HEAD, LINK, NORMAL, NUMBER, C
@@ -110,7 +110,7 @@ def _stands_between(x, d, of, f, row):  # type: ignore[no-untyped-def]
     return _crosses(x, d, row, f, 1.0 + TOUCHING if number > of else 1.0 - TOUCHING)
 
 
-@subroutine()
+@compiled()
 def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
     """Append the two boxes or the triangles within box k to the first `top` entries of `listed`; returns the new
     number of entries."""
@@ -124,7 +124,7 @@ def _opened(listed, top, row, k):  # type: ignore[no-untyped-def]
     return top - link
 
 
-@subroutine()
+@compiled()
 def shaded(x, a, b, c, of, first, last, row, listed):  # type: ignore[no-untyped-def]
     """Whether it is proven that x sees nothing of the triangle a, b, c, a part of triangle `of`: one of the
     candidates first … last − 1 hides all three corners. False proves nothing."""
@@ -213,7 +213,7 @@ def narrowed(x, a, b, c, of, first, last, free, row, listed):  # type: ignore[no
     return end
 
 
-@subroutine()
+@compiled()
 def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
     """Whether the points p, q and r lie outside the plane through x whose normal n points inwards, or in the plane.
 
@@ -222,7 +222,7 @@ def _beyond(n, x, p, q, r, near):  # type: ignore[no-untyped-def]
     return dot(n, subtract(p, x)) <= near and dot(n, subtract(q, x)) <= near and dot(n, subtract(r, x)) <= near
 
 
-@subroutine()
+@compiled()
 def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
     """Least and greatest height of the points x, a, b and c above the plane through p with unit normal n, metres."""
     at_x, at_a, at_b, at_c = (
@@ -234,7 +234,7 @@ def _heights(n, p, x, a, b, c):  # type: ignore[no-untyped-def]
     return min(at_x, at_a, at_b, at_c), max(at_x, at_a, at_b, at_c)
 
 
-@subroutine()
+@compiled()
 def _margin(n, flat):  # type: ignore[no-untyped-def]
     """The height `flat`, metres, in units of the vector n, which is not of unit length."""
     length = np.sqrt(dot(n, n))

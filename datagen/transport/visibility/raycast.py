@@ -15,7 +15,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled, subroutine
+from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.memory import VALUES_AT_ONCE
@@ -117,7 +117,7 @@ class Raycaster:
         return ((points - self.center) / self.half_extent_m).astype(np.float32)
 
 
-@subroutine()
+@compiled()
 def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
     """The point p + offset · n, metres, in embree's unit frame; scale : the frame's centre and half extent,
     metres."""
