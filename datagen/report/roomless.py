@@ -167,6 +167,9 @@ def _capture(stored: StoredScene) -> Capture:
     """The stored capture. A device without a stored place gets an arbitrary one, which no picture here shows."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
+    # Pictures show what pixels look at, where that is known, and not how large their fields of view are.
+    seen = np.asarray(arrays["sensor_points"], np.float64)[:, None]
+    pixels = np.where(np.isfinite(seen), seen, pixels.mean(axis=1, keepdims=True)).repeat(4, axis=1)
     middle = pixels.mean(axis=(0, 1))
     lit = np.where(np.isfinite(lit), lit, middle)
 
