@@ -24,7 +24,7 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
 
     Raises
     ------
-    InputError : no dataset, another schema version, `scenes` < 1, or a mesh file is gone.
+    InputError : no dataset, another schema version, `scenes` < 1, or a mesh file is missing or has changed.
     CheckError : no scene of the dataset is there.
     """
     root = location_of(path)

@@ -34,7 +34,7 @@ _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 def write_stored_glb(scene: SceneContent, path: Path) -> None:
     """Write one scene of a dataset. Its room is drawn again from the dataset's seed.
 
-    Raises `InputError` if a mesh file is gone, or the scenes were made in Python.
+    Raises `InputError` if a mesh file is missing or has changed, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
     room = scene_for(config, scene.index)

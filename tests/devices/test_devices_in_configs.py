@@ -64,7 +64,7 @@ def test_a_stored_configuration_holds_the_whole_device(name: str, monkeypatch: p
     config = configured(name, detector={"ambient_rate_hz": {"log_uniform": [1e4, 1e6]}, "pde": 0.1})
     stored = json.loads(json.dumps(config.model_dump(mode="json")))
     monkeypatch.setattr("datagen.config.device.device_names", lambda: ())
-    again = config_from_mapping(stored, base_directory=None)
+    again = config_from_mapping(stored, look_for_files=False)
     assert again == config and again.fingerprint() == config.fingerprint()
     spad, exposure = detector_for(again.detector, 4, 0)
     assert spad.pde == 0.1 and 1e4 <= exposure.ambient_rate_hz <= 1e6
