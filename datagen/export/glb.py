@@ -91,10 +91,10 @@ def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
         ball.visual = trimesh.visual.TextureVisuals(material=_plain(device, color))
         world.add_geometry(ball, node_name=device, geom_name=device)
     if placed:
-        for name, color in (("laser_points", [255, 40, 40, 255]), ("sensor_points", [40, 80, 255, 255])):
+        for name, rgba in (("laser_points", [255, 40, 40, 255]), ("sensor_points", [40, 80, 255, 255])):
             found = placed[name][np.isfinite(placed[name]).all(axis=1)]
             if len(found):
-                dots = trimesh.PointCloud(found, colors=color)
+                dots = trimesh.PointCloud(found, colors=rgba)
                 world.add_geometry(dots, node_name=name, geom_name=name)
         pixels = placed["sensor_pixels"]
         ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)

@@ -90,5 +90,7 @@ def _pairs(m: Measurement) -> dict[str, NDArray[Any]]:
     shifts = np.floor(_legs_s(m, lit, seen) / m.time.width_s).astype(int)
     for row, (values, shift) in enumerate(zip(m.values.reshape(-1, bins), shifts, strict=True)):
         transients[row, : bins - shift] = values[shift:]
-    normals = _stated("camera_normals", seen_normals) | _stated("laser_normals", lit_normals)
-    return {"trans_data": transients, "camera_points": seen, "laser_points": lit} | normals
+    return {
+        "trans_data": transients, "camera_points": seen, "laser_points": lit,
+        **_stated("camera_normals", seen_normals), **_stated("laser_normals", lit_normals),
+    }  # fmt: skip
