@@ -36,6 +36,7 @@ from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.visibility.coincidence import set_apart
+from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
@@ -79,7 +80,8 @@ def sample_of(
                 raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
         else:
             stderr, overflow = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
-            transient = Transient(capture.time, {"given": given}, {}, stderr, overflow, capture.laser.targets)
+            lit = lit_points(caster, capture.laser)
+            transient = Transient(capture.time, {"given": given}, {}, stderr, overflow, lit.position)
     total = transient.total
     with _timed(seconds, "effects"):
         effects += detector_effects(config, total, transient.time, spad, exposure)
@@ -133,8 +135,8 @@ def sample_of(
         for face in (scene.relay_wall, scene.hidden_view)
     )
     arrays |= labels | image | geometry_fields(
-        transient.laser_points, capture.sensor.pixels, capture.laser.position, capture.sensor.position, wall, view,
-        scene.hidden_bounds,
+        lit_points(caster, capture.laser), capture.sensor.pixels, seen_points(caster, capture.sensor),
+        capture.laser.position, capture.sensor.position, wall, view, scene.hidden_bounds,
     )  # fmt: skip
     parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
     return Sample(index, arrays, parameters | presence_parameters(presence), seconds)

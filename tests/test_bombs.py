@@ -178,7 +178,7 @@ def refused(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def imported() -> None:
     """Modules that commands import when they run are imported before memory is measured."""
-    for name in ("datagen.formats", "datagen.devices", "datagen.forecast", "datagen.scoring", "datagen.report"):
+    for name in ("datagen.formats", "datagen.devices", "datagen.scoring", "datagen.report"):
         importlib.import_module(name)
 
 

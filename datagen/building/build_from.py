@@ -34,7 +34,8 @@ def build_from(
     ----------
     scenes : each is a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient)
         with a transient (L, P, T) of another simulator, in expected photons at the aperture per emitted photon.
-        Counts and labels are then made for this transient, and the laser's targets are taken as its laser points.
+        Counts and labels are then made for this transient; laser points and what pixels look at are where rays meet
+        the scene, as always.
     path : the folder of the dataset; the same call again resumes a build.
     capture : the capture of all scenes without one of their own, or a function of the scene that returns it. All
         captures of a dataset have one shape, one time axis and one pairing.

@@ -24,7 +24,8 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
 
     Raises
     ------
-    InputError : no dataset, one of another version of datagen, `scenes` < 1, or a mesh file is gone.
+    InputError : no dataset, one of another version of datagen, `scenes` < 1, or a mesh file is missing or
+        has changed.
     CheckError : no scene of the dataset is there.
     """
     root = location_of(path)

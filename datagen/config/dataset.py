@@ -177,16 +177,16 @@ def load_config(path: str | Path) -> DatasetConfig:
 
 
 def config_from_mapping(
-    values: dict[str, Any], source: str = "configuration", base_directory: str | Path | None = "."
-) -> DatasetConfig:
+    values: dict[str, Any], source: str = "configuration", base_directory: str | Path = ".",
+    look_for_files: bool = True,
+) -> DatasetConfig:  # fmt: skip
     """The configuration that plain values describe. `base_directory` is the folder in which relative mesh paths
-    start; None: mesh files are not looked for."""
+    start; `look_for_files` : refuse mesh files that are not there."""
     try:
         # JSON mode: strict about types, yet a list may stand for a tuple.
         text = json.dumps(values)
-        return DatasetConfig.model_validate_json(
-            text, context=None if base_directory is None else {"base_directory": str(base_directory)}
-        )
+        context = {"base_directory": str(base_directory), "look_for_files": look_for_files}
+        return DatasetConfig.model_validate_json(text, context=context)
     except pydantic.ValidationError as error:
         raise_input_error(source, error, DatasetConfig)
         raise

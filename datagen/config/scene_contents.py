@@ -22,20 +22,24 @@ RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """Names of the room's own parts."""
 
 
+def folder_of(info: ValidationInfo) -> Path:
+    """The absolute path of the configuration's folder (validation context), at which relative paths start."""
+    return Path((info.context or {}).get("base_directory") or ".").resolve()
+
+
 def resolved(path: str, info: ValidationInfo) -> Path:
-    """The absolute path; a relative one starts at the configuration's folder (validation context)."""
-    base = (info.context or {}).get("base_directory")
-    return Path(base or ".").resolve() / path
+    """The absolute path of a file that a configuration names."""
+    return folder_of(info) / path
 
 
-def is_placed(info: ValidationInfo) -> bool:
-    """Whether files are looked for: the settings of an old dataset are read even where its files are gone."""
-    return (info.context or {}).get("base_directory") is not None
+def looks_for_files(info: ValidationInfo) -> bool:
+    """Whether files are looked for: the settings of a stored dataset are read even where its files are gone."""
+    return info.context is not None and bool(info.context.get("look_for_files", True))
 
 
 def _existing_file(path: str, info: ValidationInfo) -> str:
     place = resolved(path, info)
-    if is_placed(info) and not place.is_file():
+    if looks_for_files(info) and not place.is_file():
         found = "is a directory (kind: mesh_folder reads one)" if place.is_dir() else "no such file"
         raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
     return path
@@ -43,10 +47,10 @@ def _existing_file(path: str, info: ValidationInfo) -> str:
 
 def _existing_folder(path: str, info: ValidationInfo) -> str:
     place = resolved(path, info)
-    if is_placed(info) and not place.is_dir():
+    if looks_for_files(info) and not place.is_dir():
         found = "is a file (kind: mesh reads one)" if place.is_file() else "no such folder"
         raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
-    if is_placed(info) and not classed_files(place):
+    if looks_for_files(info) and not classed_files(place):
         raise ValueError(f"{path!r}: holds no mesh files ({place}); {' '.join(SUFFIXES)} are read")
     return path
 
@@ -207,6 +211,7 @@ class Library(Standing):
 class MeshItem(Standing):
     """An object read from a mesh file, scaled to a height."""
 
+    path: str
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
     up: Axis = "z"
@@ -217,6 +222,23 @@ class MeshItem(Standing):
     max_triangles: Annotated[int, Field(ge=4)] | None = None
     """Simplify to at most this many triangles; left out: never."""
     sizes = ("height_m",)
+
+    _base: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="after")
+    def _starts_in(self, info: ValidationInfo) -> Self:
+        self._base = folder_of(info)
+        return self
+
+    @property
+    def base(self) -> Path | None:
+        """Absolute path of the folder at which `path` starts, that of the configuration; None if it is absolute."""
+        return None if Path(self.path).is_absolute() else self._base
+
+    @property
+    def place(self) -> Path:
+        """Absolute path of the file or folder."""
+        return self._base / self.path
 
     @model_validator(mode="after")
     def _front_across_up(self) -> Self:
@@ -232,18 +254,6 @@ class Mesh(MeshItem):
     path: MeshPath
     """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
 
-    _file: Path = PrivateAttr(default=Path())
-
-    @model_validator(mode="after")
-    def _resolve(self, info: ValidationInfo) -> Self:
-        self._file = resolved(self.path, info)
-        return self
-
-    @property
-    def file(self) -> Path:
-        """Absolute path of the file: `path` from the folder of the configuration that named it."""
-        return self._file
-
     @property
     def part_name(self) -> str:
         """Name of its part in the scene; left out: that of the file."""
@@ -251,7 +261,7 @@ class Mesh(MeshItem):
 
     def digest(self) -> str:
         """Hex SHA-256 of the file's bytes."""
-        return hashlib.sha256(self._file.read_bytes()).hexdigest()
+        return hashlib.sha256(self.place.read_bytes()).hexdigest()
 
 
 class MeshFolder(MeshItem):
@@ -263,14 +273,12 @@ class MeshFolder(MeshItem):
     classes: tuple[str, ...] | None = None
     """Names of the sub-folders to draw from, equally likely; left out: all."""
 
-    _folder: Path = PrivateAttr(default=Path())
     _found: dict[str, tuple[Path, ...]] | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
-    def _resolve(self, info: ValidationInfo) -> Self:
-        self._folder = resolved(self.path, info)
-        if is_placed(info):
-            found = classed_files(self._folder)
+    def _has_classes(self, info: ValidationInfo) -> Self:
+        if looks_for_files(info):
+            found = classed_files(resolved(self.path, info))
             for name in self.classes or ():
                 if name not in found:
                     raise ValueError(f"classes: {name!r} is no sub-folder with meshes; there are {', '.join(found)}")
@@ -284,19 +292,19 @@ class MeshFolder(MeshItem):
     def files(self) -> dict[str, tuple[Path, ...]]:
         """Class → its files, both sorted by name, of the classes wanted."""
         if self._found is None:
-            found = classed_files(self._folder)
+            found = classed_files(self.place)
             self._found = found if self.classes is None else {c: found[c] for c in self.classes if c in found}
         return self._found
 
     def shown(self, file: Path) -> str:
         """A file of the folder as messages and parameters show it: `path`, and the way from there."""
-        return f"{self.path}/{file.relative_to(self._folder).as_posix()}"
+        return f"{self.path}/{file.relative_to(self.place).as_posix()}"
 
     def digest(self) -> str:
         """Hex SHA-256 of the names and bytes of all files that can be drawn."""
         total = hashlib.sha256()
         for file in (file for files in self.files().values() for file in files):
-            total.update(f"{file.relative_to(self._folder).as_posix()}\0".encode())
+            total.update(f"{file.relative_to(self.place).as_posix()}\0".encode())
             total.update(hashlib.sha256(file.read_bytes()).digest())
         return total.hexdigest()
 

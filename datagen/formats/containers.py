@@ -69,14 +69,23 @@ class Content:
             raise InputError(f"{self.path}: {name}: holds coordinates that are NaN, infinite or beyond 1000 km")
         return points
 
-    def wall_normal(self, name: str) -> Floats:
-        """(3,) mean of a variable of normals of the relay wall; along z if the file has no such variable."""
-        value = self.arrays.get(name, np.zeros(0))
-        if value.ndim and value.shape[-1] == 3 and value.size and np.isfinite(value).all():
-            mean = value.reshape(-1, 3).mean(axis=0, dtype=np.float64)
-            if np.linalg.norm(mean) > 0.1:
-                return np.asarray(mean / np.linalg.norm(mean))
-        return FACING
+    def normals(self, name: str, points: Floats) -> Floats:
+        """(n, 3) unit normals at (…, 3) points, from a variable with one for each or one for all; NaN if the file has
+        no such variable, or one of another shape or of other values."""
+        value, n = self.arrays.get(name, np.zeros(0)), points.size // 3
+        if value.ndim and value.shape[-1] == 3 and value.size in (3, 3 * n) and np.isfinite(value).all():
+            found = value.reshape(-1, 3).astype(np.float64)
+            length = np.linalg.norm(found, axis=1, keepdims=True)
+            if (length > 0.1).all():
+                return np.array(np.broadcast_to(found / length, (n, 3)))
+        return np.full((n, 3), np.nan)
+
+
+def wall_normal(normals: Floats) -> Floats:
+    """(3,) unit normal of a relay wall whose surface has the normals (n, 3) here and there; along z if they are
+    unknown, or of no common side."""
+    mean = normals.mean(axis=0)
+    return np.asarray(mean / np.linalg.norm(mean)) if np.linalg.norm(mean) > 0.1 else FACING
 
 
 def is_hdf5(path: Path) -> bool:

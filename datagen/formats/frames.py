@@ -16,7 +16,7 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
 from datagen.errors import InputError
-from datagen.records import Sample, Scalar
+from datagen.records import OnSurfaces, Sample, Scalar
 from datagen.records.sample import geometry_fields
 from datagen.store.files import sha256_of
 
@@ -114,6 +114,6 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     }
     if frames.distances_m is not None:
         parameters["capture.distance_m"] = float(frames.distances_m[frame])
-    nowhere = np.full_like(capture.laser.targets, np.nan)
-    places = geometry_fields(nowhere, capture.sensor.pixels, capture.laser.position, capture.sensor.position)
+    lit, seen = (OnSurfaces.unknown(len(of)) for of in (capture.laser.targets, capture.sensor.pixels))
+    places = geometry_fields(lit, capture.sensor.pixels, seen, capture.laser.position, capture.sensor.position)
     return Sample(index, {"histogram": counts, **places}, parameters, {"read": time.perf_counter() - began})

@@ -1,7 +1,8 @@
 """A scene as one glTF file (.glb) for Blender, MeshLab and Open3D: its parts with materials, device and scan.
 
-Beside the parts by name a file has `laser`, `sensor`, `laser_points`, and `sensor_pixels`, the outlines of the fields
-of view. Lengths are metres. The scene's up is glTF's +Y, which Blender turns to +Z again.
+Beside the parts by name a file has `laser`, `sensor`, `laser_points`, `sensor_points`, what the middles of pixels
+look at, and `sensor_pixels`, the outlines of the fields of view. Lengths are metres. The scene's up is glTF's +Y,
+which Blender turns to +Z again.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
 from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
+from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
 from datagen.transport.visibility.raycast import Raycaster
 
 _MARK_M = 0.04
@@ -32,7 +34,7 @@ _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 def write_stored_glb(scene: SceneContent, path: Path) -> None:
     """Write one scene of a dataset. Its room is drawn again from the dataset's seed.
 
-    Raises `InputError` if a mesh file is gone, or the scenes were made in Python.
+    Raises `InputError` if a mesh file is missing or has changed, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
     room = scene_for(config, scene.index)
@@ -41,7 +43,8 @@ def write_stored_glb(scene: SceneContent, path: Path) -> None:
 
 def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) -> None:
     """Write a scene as a glTF file (.glb), which Blender, MeshLab and Open3D open. The file has the parts by name,
-    with albedo and roughness; with `capture` also laser, sensor, laser points and outlines of the pixels.
+    with albedo and roughness; with `capture` also laser, sensor, laser points, what pixels look at, and their
+    outlines.
 
     Raises `InputError` for arguments of another type, and if the file cannot be written.
 
@@ -57,11 +60,11 @@ def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) ->
     check_kind("capture", capture, Capture, type(None))
     placed = {}
     if capture is not None:
-        laser, sensor = capture.laser, capture.sensor
-        met = Raycaster(scene).closest(laser.position, laser.targets - laser.position)
+        laser, sensor, caster = capture.laser, capture.sensor, Raycaster(scene)
         placed = {
             "laser_position": laser.position, "sensor_position": sensor.position,
-            "laser_points": met.position[met.valid], "sensor_pixels": sensor.pixels,
+            "laser_points": lit_points(caster, laser).position,
+            "sensor_points": seen_points(caster, sensor).position, "sensor_pixels": sensor.pixels,
         }  # fmt: skip
     try:
         Path(path).write_bytes(_glb_of(scene, placed))
@@ -71,7 +74,7 @@ def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) ->
 
 def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
     """The content of the glTF file of a room. `placed` has the fields `laser_position`, `sensor_position`,
-    `laser_points` and `sensor_pixels`, or is empty."""
+    `laser_points`, `sensor_points` and `sensor_pixels`, or is empty."""
     import trimesh
 
     world = trimesh.Scene(base_frame="world")
@@ -88,17 +91,18 @@ def _glb_of(room: Scene, placed: Mapping[str, NDArray[Any]]) -> bytes:
         ball.visual = trimesh.visual.TextureVisuals(material=_plain(device, color))
         world.add_geometry(ball, node_name=device, geom_name=device)
     if placed:
-        lit = placed["laser_points"][np.isfinite(placed["laser_points"]).all(axis=1)]
-        if len(lit):
-            dots = trimesh.PointCloud(lit, colors=[255, 40, 40, 255])
-            world.add_geometry(dots, node_name="laser_points", geom_name="laser_points")
+        for name, rgba in (("laser_points", [255, 40, 40, 255]), ("sensor_points", [40, 80, 255, 255])):
+            found = placed[name][np.isfinite(placed[name]).all(axis=1)]
+            if len(found):
+                dots = trimesh.PointCloud(found, colors=rgba)
+                world.add_geometry(dots, node_name=name, geom_name=name)
         pixels = placed["sensor_pixels"]
         ends = np.stack([pixels, np.roll(pixels, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         outlines = trimesh.load_path(ends, process=False)
         world.add_geometry(outlines, node_name="sensor_pixels", geom_name="sensor_pixels")
     world.apply_transform(_UP)
-    found: bytes = world.export(file_type="glb")
-    return found
+    content: bytes = world.export(file_type="glb")
+    return content
 
 
 def _look(material: Material, role: str) -> Any:

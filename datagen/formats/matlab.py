@@ -1,13 +1,14 @@
 """MATLAB files: a confocal grid as the Stanford data have it, any other scan as a list of pairs of points.
 
-- Confocal grid: `meas` (y, x, t), `tofgrid` (y, x) in ps and `wall_size` in m, as the demonstrations of
-  Lindell, Wetzstein and O'Toole, *Wave-Based Non-Line-of-Sight Imaging using Fast f-k Migration* (2019), read them:
-  row 0 is at the top, column 0 at the left; after a shift by −floor(tofgrid / bin) times count from the wall.
+- Confocal grid on a flat wall: `meas` (y, x, t), `tofgrid` (y, x) in ps and `wall_size` in m, as the demonstrations
+  of Lindell, Wetzstein and O'Toole, *Wave-Based Non-Line-of-Sight Imaging using Fast f-k Migration* (2019), read
+  them: row 0 is at the top, column 0 at the left; after a shift by −floor(tofgrid / bin) times count from the wall.
 - Any other scan: `camera_points`, `laser_points`, `camera_normals`, `laser_normals` (N, 3) and `trans_data`
   (N, T), a row for each pair of a laser point and a pixel, with times from the wall, as 3D Gaussian Transient
   Rendering (3D-GTR, 2026) loads them.
 
-Both have `bin_resolution` (s); points are in the frame of the relay wall (z = 0, hidden z > 0). The files are of
+Both have `bin_resolution` (s); points are in the frame of the relay wall (z = 0, hidden z > 0). A grid on an uneven
+wall is listed, because programs that read `meas` take the wall from `wall_size` alone. The files are of
 version 5, which MATLAB, Octave and `scipy.io.loadmat` read; it holds at most 2 GiB in one variable.
 """
 
@@ -23,7 +24,7 @@ from datagen.errors import InputError
 from datagen.formats.measurement import Measurement, lattice, measurement
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
-from datagen.units import time_from_path
+from datagen.units import path_from_time, time_from_path
 
 _LARGEST_BYTES = 2**31 - 1
 """Largest variable of version 5 that MATLAB reads."""
@@ -34,7 +35,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
     from scipy.io import savemat
 
     m = measurement(scene, quantity).from_time_zero()
-    place = lattice(m.seen_points) if m.paired and np.array_equal(m.seen_points, m.laser_points) else None
+    place = lattice(m.seen_points) if m.paired and _is_on_flat_wall(m) else None
     variables = _pairs(m) if place is None or min(place.shape) < 2 else _confocal_grid(m, place)
     for name, value in variables.items():
         if value.nbytes > _LARGEST_BYTES:
@@ -43,6 +44,12 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
                 f"most {_LARGEST_BYTES}; take --format h5 or npz"
             )
     savemat(path, variables | {"bin_resolution": m.time.width_s, "scene": scene.index}, do_compression=True)
+
+
+def _is_on_flat_wall(m: Measurement) -> bool:
+    """Whether pixels look at their laser points, and no way from them differs from that of a flat wall by a bin."""
+    half_a_bin_m = path_from_time(m.time.width_s) / 2
+    return np.array_equal(m.seen_points, m.laser_points) and bool(np.abs(m.seen_points[:, 2]).max() <= half_a_bin_m)
 
 
 def _confocal_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
@@ -57,7 +64,13 @@ def _confocal_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
         "tofgrid": 1e12 * _legs_s(m, m.laser_points, m.seen_points)[order],
         "wall_size": np.array([width] if square else [width, height]),
         "grid_points": points,
+        **_stated("grid_normals", m.seen_normals[order]),
     }
+
+
+def _stated(name: str, normals: Floats) -> dict[str, Floats]:
+    """The variable of normals; none where a capture that was imported does not state them."""
+    return {name: normals} if np.isfinite(normals).all() else {}
 
 
 def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
@@ -71,12 +84,13 @@ def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
 def _pairs(m: Measurement) -> dict[str, NDArray[Any]]:
     """Variables of a list of pairs, with all times shifted to count from the wall."""
     lasers, pixels, bins = m.values.shape
-    lit = m.laser_points if m.paired else np.repeat(m.laser_points, pixels, axis=0)
-    seen = m.seen_points if m.paired else np.tile(m.seen_points, (lasers, 1))
+    lit, lit_normals = (of if m.paired else np.repeat(of, pixels, axis=0) for of in (m.laser_points, m.laser_normals))
+    seen, seen_normals = (of if m.paired else np.tile(of, (lasers, 1)) for of in (m.seen_points, m.seen_normals))
     transients = np.zeros((len(lit), bins), np.float32)
     shifts = np.floor(_legs_s(m, lit, seen) / m.time.width_s).astype(int)
     for row, (values, shift) in enumerate(zip(m.values.reshape(-1, bins), shifts, strict=True)):
         transients[row, : bins - shift] = values[shift:]
-    normals = np.broadcast_to([0.0, 0.0, 1.0], lit.shape)
-    points = {"camera_points": seen, "laser_points": lit, "camera_normals": normals, "laser_normals": normals}
-    return {"trans_data": transients} | points
+    return {
+        "trans_data": transients, "camera_points": seen, "laser_points": lit,
+        **_stated("camera_normals", seen_normals), **_stated("laser_normals", lit_normals),
+    }  # fmt: skip

@@ -2,7 +2,8 @@
 
 - `meas` (y, x, t), the f-k migration data (Lindell, Wetzstein and O'Toole 2019): times count from the laser, and
   `tofgrid` (ps), in the same file or in another one, is the time of flight to the wall and back. `datagen export`
-  also writes `bin_resolution` (s), `wall_size` (m) and `grid_points`. The published files have 32 ps, 2 m × 2 m.
+  also writes `bin_resolution` (s), `wall_size` (m), `grid_points` and `grid_normals`. The published files have 32 ps,
+  2 m × 2 m.
 - `rect_data` (x, y, t), the data of the light-cone transform (O'Toole, Lindell and Wetzstein 2018): times count from
   the wall; `width` (m) is half of the wall's width. The published files have 4 ps.
 - `trans_data` (N, T), `camera_points` and `laser_points` (N, 3): a row for each pair; times count from the wall.
@@ -24,8 +25,8 @@ from datagen.formats.containers import FACING, Content, matlab_content
 from datagen.formats.recording import SAME, UNKNOWN, Recording, time_bins
 from datagen.records.arrays import Floats, Ints
 
-_LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals")
-_GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points")
+_LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals", "laser_normals")
+_GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points", "grid_normals")
 _AXES = {"meas": "yxt", "rect_data": "xyt"}
 
 
@@ -75,8 +76,11 @@ def _grid(content: Content, name: str, options: ImportOptions, delays: Path | No
     values = values if at[0] < at[1] else values.swapaxes(0, 1)
     rows, columns, bins = values.shape
     points = _points(content, name, rows, columns, options).reshape(-1, 3)
+    # Without points of its own a grid fills a flat wall in the plane of x and y.
+    flat = "grid_points" not in content.arrays
+    normals = np.tile(FACING, (len(points), 1)) if flat else content.normals("grid_normals", points)
     return Recording(
-        path, values.reshape(-1, 1, bins), True, points, points, time, UNKNOWN, UNKNOWN, FACING
+        path, values.reshape(-1, 1, bins), True, points, normals, points, normals, time, UNKNOWN, UNKNOWN
     )  # fmt: skip
 
 
@@ -172,16 +176,16 @@ def _pairs(content: Content, options: ImportOptions) -> Recording:
         content.path, rows.shape[1], _bin_width_s(content), options, start_s=0.0, origin="wall",
         named="bin_resolution",
     )  # fmt: skip
+    lit_normals, seen_normals = content.normals("laser_normals", lit), content.normals("camera_normals", seen)
     lasers, pixels = _every_pixel(lit, seen)
     if lasers * pixels == len(rows):
         values: NDArray[Any] = rows.reshape(lasers, pixels, -1)
-        lit, seen = lit[::pixels], seen[:pixels]
+        lit, lit_normals = lit[::pixels], lit_normals[::pixels]
+        seen, seen_normals = seen[:pixels], seen_normals[:pixels]
     else:
         values = rows[:, None]
     paired = lasers * pixels != len(rows)
-    return Recording(
-        content.path, values, paired, lit, seen, time, UNKNOWN, UNKNOWN, content.wall_normal("camera_normals")
-    )
+    return Recording(content.path, values, paired, lit, lit_normals, seen, seen_normals, time, UNKNOWN, UNKNOWN)
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:

@@ -42,7 +42,9 @@ class Measurement:
     quantity : one of `QUANTITIES`.
     time : bin i covers [start + i width, start + (i + 1) width).
     paired : whether pixel i was measured with laser point i alone (a confocal scan).
-    laser_points, seen_points : (L, 3) and (P, 3) points on the wall, metres; paired: both (L, 3).
+    laser_points, seen_points : (L, 3) laser points, and (P, 3) what each pixel looks at, metres; paired: both (L, 3).
+        They lie off the plane of the wall where it is uneven, or where something stands before it.
+    laser_normals, seen_normals : unit normals of the surfaces there, of the same shapes; NaN where unknown.
     laser_position, sensor_position : (3,) positions of the devices.
     frame : the frame of these coordinates, in the scene's frame.
     hidden : (2, 3) corners of the box that contains the hidden part, or None.
@@ -53,7 +55,9 @@ class Measurement:
     time: TimeAxis
     paired: bool
     laser_points: Floats
+    laser_normals: Floats
     seen_points: Floats
+    seen_normals: Floats
     laser_position: Floats
     sensor_position: Floats
     frame: WallFrame
@@ -79,9 +83,8 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
 
     Raises
     ------
-    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies on no surface,
-    or
-        all laser points were lit at once (a flood), which other formats cannot express.
+    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies on no surface or
+        a pixel looks at none, or all laser points were lit at once (a flood), which other formats cannot express.
     """
     where, arrays, capture = f"{scene.root}, scene {scene.index}", scene.arrays, scene.manifest.config["capture"]
     there = [name for name in QUANTITIES if name in arrays]
@@ -91,19 +94,17 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
         raise InputError(f"{where}: all laser points were lit at once, which this format cannot say; take npz or h5")
     if not np.isfinite(arrays["relay_wall"]).all():
         raise InputError(f"{where}: its relay wall is unknown, and this format counts from it; take npz or h5")
-    lit = arrays["laser_points"]
-    if not np.isfinite(lit).all():
-        missing = int(np.argmin(np.isfinite(lit).all(axis=1)))
-        raise InputError(f"{where}: laser point {missing} lies on no surface; take npz or h5")
+    lit, seen = arrays["laser_points"], arrays["sensor_points"]
+    for points, which in ((lit, "laser point {} lies on"), (seen, "the middle of pixel {} looks at")):
+        if not np.isfinite(points).all():
+            missing = int(np.argmin(np.isfinite(points).all(axis=1)))
+            raise InputError(f"{where}: {which.format(missing)} no surface; take npz or h5")
     center, right, up = arrays["relay_wall"]
     axes = np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up), np.zeros(3)])
     axes[2] = np.cross(axes[0], axes[1])
-    corners = arrays["sensor_pixels"]
-    seen = _on_plane(arrays["sensor_position"], corners.mean(axis=1), center, axes[2])
     paired = capture["pairing"] == "confocal"
-    halves = np.linalg.norm(corners[:, 0] - corners[:, 2], axis=1) / 2
-    if paired and (np.linalg.norm(seen - lit, axis=1) <= halves + _SAME_PLACE_M).all():
-        # Each pixel lies around its laser point. Laser points are exact also on an uneven wall, so they are taken.
+    if paired and np.abs(seen - lit).max() <= _SAME_PLACE_M:
+        # Rays of two devices that aim at one place meet it but for rounding, and a grid has one set of points.
         seen = lit
     middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
     frame = WallFrame(center + axes[:2].T @ (axes[:2] @ (middle - center)), axes)
@@ -114,19 +115,10 @@ def measurement(scene: SceneContent, quantity: str | None = None) -> Measurement
     )
     name = quantity or there[0]
     return Measurement(
-        arrays[name], name, scene.manifest.time_of(name), paired, frame.to_wall(lit), frame.to_wall(seen),
+        arrays[name], name, scene.manifest.time_of(name), paired,
+        frame.to_wall(lit), arrays["laser_normals"] @ axes.T, frame.to_wall(seen), arrays["sensor_normals"] @ axes.T,
         frame.to_wall(arrays["laser_position"]), frame.to_wall(arrays["sensor_position"]), frame, hidden,
     )  # fmt: skip
-
-
-def _on_plane(eye: Floats, towards: Floats, point: Floats, normal: Floats) -> Floats:
-    """(N, 3) intersections of the rays from `eye` through (N, 3) points with a plane; the point itself if its ray
-    does not meet the plane."""
-    along = towards - eye
-    slope = along @ normal
-    with np.errstate(divide="ignore", invalid="ignore"):
-        met = eye + along * (((point - eye) @ normal) / slope)[:, None]
-    return np.where(np.isfinite(met), met, towards)
 
 
 def lattice(points: Floats) -> Ints | None:

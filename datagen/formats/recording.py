@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
+from datagen.formats.containers import wall_normal
 from datagen.formats.measurement import WallFrame, lattice
+from datagen.records import OnSurfaces
 from datagen.records.arrays import Floats, Ints
 from datagen.records.sample import geometry_fields
 
@@ -39,9 +41,10 @@ class Recording:
     values : (L, P, T) counts or light, as in the file; paired: (L, 1, T).
     paired : whether pixel i was measured with laser point i alone (a confocal scan).
     laser_points, seen_points : (L, 3) and (P, 3) points on the wall; paired: both (L, 3).
+    laser_normals, seen_normals : unit normals of the wall there, of the same shapes; NaN if the file does not state
+        them.
     time : the time bins.
     laser_position, sensor_position : (3,) positions of the devices; NaN if the file does not state them.
-    normal : (3,) unit normal of the relay wall, towards the hidden part.
     hidden : (2, 3) corners of the box that contains the hidden part, or None.
     """
 
@@ -49,12 +52,18 @@ class Recording:
     values: NDArray[Any]
     paired: bool
     laser_points: Floats
+    laser_normals: Floats
     seen_points: Floats
+    seen_normals: Floats
     time: TimeConfig
     laser_position: Floats
     sensor_position: Floats
-    normal: Floats
     hidden: Floats | None = None
+
+    @property
+    def normal(self) -> Floats:
+        """(3,) unit normal of the relay wall, towards the hidden part."""
+        return wall_normal(self.seen_normals)
 
     @property
     def frame(self) -> WallFrame:
@@ -72,13 +81,15 @@ class Recording:
         form no grid keep their order."""
         if self.paired:
             order = _rows(self.frame.to_wall(self.seen_points))
-            lit = self.laser_points[order]
-            return replace(self, values=self.values[order], laser_points=lit, seen_points=self.seen_points[order])
+            return self._chosen(self.values[order], order, order)
         lasers, pixels = _rows(self.frame.to_wall(self.laser_points)), _rows(self.frame.to_wall(self.seen_points))
-        values = self.values[lasers[:, None], pixels]
+        return self._chosen(self.values[lasers[:, None], pixels], lasers, pixels)
+
+    def _chosen(self, values: NDArray[Any], lasers: Ints, pixels: Ints) -> Recording:
         return replace(
-            self, values=values, laser_points=self.laser_points[lasers], seen_points=self.seen_points[pixels]
-        )
+            self, values=values, laser_points=self.laser_points[lasers], laser_normals=self.laser_normals[lasers],
+            seen_points=self.seen_points[pixels], seen_normals=self.seen_normals[pixels],
+        )  # fmt: skip
 
     def first_bins(self, bins: int | None) -> Recording:
         """The recording with its first `bins` bins only (None: all); raises `InputError` if it has fewer."""
@@ -97,8 +108,9 @@ class Recording:
         center = frame.origin + ((low + high) / 2) @ frame.axes[:2]
         wall = np.stack([center, halves[0] * frame.axes[0], halves[1] * frame.axes[1]])
         pixels = np.repeat(self.seen_points[:, None], 4, axis=1)
+        lit, seen = OnSurfaces(self.laser_points, self.laser_normals), OnSurfaces(self.seen_points, self.seen_normals)
         return geometry_fields(
-            self.laser_points, pixels, self.laser_position, self.sensor_position, wall, hidden_bounds=self.hidden
+            lit, pixels, seen, self.laser_position, self.sensor_position, wall, hidden_bounds=self.hidden
         )
 
 

@@ -19,8 +19,8 @@ from datagen.records.arrays import Floats
 from datagen.units import time_from_path
 
 _WANTED = (
-    "H", "H_format", "sensor_xyz", "sensor_grid_xyz", "sensor_grid_normals", "laser_xyz", "laser_grid_xyz", "delta_t",
-    "t_start", "t_accounts_first_and_last_bounces", "scene_info",
+    "H", "H_format", "sensor_xyz", "sensor_grid_xyz", "sensor_grid_normals", "laser_xyz", "laser_grid_xyz",
+    "laser_grid_normals", "delta_t", "t_start", "t_accounts_first_and_last_bounces", "scene_info",
 )  # fmt: skip
 _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
           HFormat.T_Li_Si: (1, True)}  # fmt: skip
@@ -60,8 +60,9 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
         origin="source" if from_source else "wall", named="delta_t",
     )  # fmt: skip
     return Recording(
-        path, values, paired, lit.reshape(-1, 3), seen.reshape(-1, 3), time, laser, sensor,
-        content.wall_normal("sensor_grid_normals"), _hidden(path, content.texts.get("scene_info", "")),
+        path, values, paired, lit.reshape(-1, 3), content.normals("laser_grid_normals", lit), seen.reshape(-1, 3),
+        content.normals("sensor_grid_normals", seen), time, laser, sensor,
+        _hidden(path, content.texts.get("scene_info", "")),
     )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         Without it missing and damaged files are still found, but not files that were exchanged.
     lasers : the laser points to read, in this order: a slice, indices, a mask, or rows and columns of a scan that is
         a grid, such as `lasers=np.s_[8:24, 8:24]`. This cuts all fields with that axis: histograms, transients,
-        `laser_points`, the `sensor_pixels` of a confocal scan. Of each chunk only the blocks of 256 KiB from the
+        `laser_points`, the `sensor_points` of a confocal scan. Of each chunk only the blocks of 256 KiB from the
         first of these laser points to the last are decoded. Redrawn noise is that of the whole scan, cut afterwards.
     pixels : the pixels to read, in the same way.
     bins : a slice of the time bins (of the histogram, where the sensor merges bins). It saves memory; it saves

@@ -43,11 +43,6 @@ class Volumes:
             raise InputError(f"representation = 'volume': this dataset has no {', '.join(missing)}, which it needs")
         self.shape = (shape[0], shape[1], shape[2])
         self._capture = manifest.config["capture"]
-        if self._capture.get("device") is not None:
-            raise InputError(
-                "representation = 'volume': backprojection needs pixels that look at points of a relay wall, and "
-                "those of a device are directions; take another representation"
-            )
         self._time = manifest.time
         if "bin" in crops.chosen:
             first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])

@@ -27,7 +27,7 @@ from datagen.records import Rectangle, TimeAxis
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.units import time_from_path
 
-GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_pixels", "laser_position", "sensor_position")
+GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_points", "laser_position", "sensor_position")
 """Fields that state where a measurement was made, and where the hidden part is."""
 LASERS_OF_A_FLOOD = 16
 """Laser points that represent the points of a flood, all of which are lit at once. Half as many take half of the
@@ -39,7 +39,7 @@ class Scan:
     """The input of backprojection.
 
     signal : (pair, bin) whitened counts; row r is that of pixel `pixel[r]` and laser point `laser[r]`.
-    laser_points, pixels : (L, 3) and (P, 3) points on the relay wall, label frame, metres.
+    laser_points, pixels : (L, 3) and (P, 3) laser points, and what each pixel looks at, label frame, metres.
     laser, pixel : (pair,) indices into `laser_points` and `pixels`.
     first : (pair,) time from the reflection at the laser point to the start of the first bin, without the way from
         the pixel to the sensor, in bins.
@@ -67,7 +67,7 @@ def scan_of(
     the configuration. time : the bins of `counts`.
     """
     to_frame = ViewFrame.about(Rectangle(*geometry["hidden_view"])).to_view
-    lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_pixels"].mean(axis=-2))
+    lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_points"])
     signal: Floats = counts.astype(np.float64)
     if capture["pairing"] == "confocal":
         laser = pixel = np.arange(len(lasers))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -196,17 +197,37 @@ class Sample:
         check_mapping("Sample.seconds", self.seconds, *_NUMBERS, remedy="stage → seconds")
 
 
+class OnSurfaces(NamedTuple):
+    """Points where n rays first meet the scene.
+
+    position : (n, 3) metres. normal : (n, 3) unit normal of the surface, on the side that the ray comes from. NaN
+    where a ray meets nothing, or where what it meets is unknown.
+    """
+
+    position: Floats
+    normal: Floats
+
+    @classmethod
+    def unknown(cls, count: int) -> OnSurfaces:
+        """`count` points of which nothing is known."""
+        return cls(np.full((count, 3), np.nan), np.full((count, 3), np.nan))
+
+
 def geometry_fields(
-    laser_points: Floats, sensor_pixels: Floats, laser_position: Floats, sensor_position: Floats,
+    lit: OnSurfaces, sensor_pixels: Floats, seen: OnSurfaces, laser_position: Floats, sensor_position: Floats,
     relay_wall: Floats | None = None, hidden_view: Floats | None = None, hidden_bounds: Floats | None = None,
 ) -> dict[str, Floats]:  # fmt: skip
     """The arrays of a sample that say where laser, sensor, relay wall and hidden part are; NaN where that is unknown.
 
+    lit, seen : the laser points, and what the middle of each pixel looks at. sensor_pixels : (P, 4, 3) corners.
     relay_wall, hidden_view : (3, 3) rows center, right, up. hidden_bounds : (2, 3) corners.
     """
     return {
-        "laser_points": laser_points,
+        "laser_points": lit.position,
+        "laser_normals": lit.normal,
         "sensor_pixels": sensor_pixels,
+        "sensor_points": seen.position,
+        "sensor_normals": seen.normal,
         "laser_position": laser_position,
         "sensor_position": sensor_position,
         "relay_wall": np.full((3, 3), np.nan) if relay_wall is None else relay_wall,

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 from datagen.design.scene_for import scene_for
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.report.evidence_pictures import kinds_report
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
@@ -43,7 +44,7 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 
     Raises
     ------
-    InputError : no dataset, no scene in it yet, or an output that cannot be written.
+    InputError : no dataset, no scene in it yet, a mesh file that has changed, or an output that cannot be written.
     """
     if not 0 <= scenes <= MOST_SCENES:
         raise InputError(f"--scenes {scenes}: must lie in 0 … {MOST_SCENES}")
@@ -65,8 +66,10 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
 
 def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
     made = scenes_made(records)
-    config, meshes = config_of(manifest)
-    roomless = why_roomless(config, meshes)
+    config, missing = config_of(manifest)
+    if missing:
+        warn(f"{missing}; only what is stored is shown", InputWarning, stacklevel=3)
+    roomless = why_roomless(config, missing)
     yield head(config.name)
     full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
     for record in made[: ROOMS if roomless is None else scenes]:

@@ -23,6 +23,7 @@ from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
+from datagen.store.manifest import MissingMesh
 from datagen.store.scenes import Scenes
 
 REPRODUCED = 1e-5
@@ -36,7 +37,7 @@ class StoredScene:
     """What a dataset holds of one scene.
 
     arrays : field → values. parameters : drawn numbers and others, by name. classes : names of the numbers in
-    `object_class`. meshes : whether the mesh files of its objects are still there.
+    `object_class`. missing : a line about a mesh file of its objects that is missing; empty if all are there.
     """
 
     config: DatasetConfig
@@ -44,7 +45,7 @@ class StoredScene:
     arrays: Mapping[str, NDArray[Any]]
     parameters: Mapping[str, Scalar] = field(default_factory=dict)
     classes: tuple[str, ...] = ()
-    meshes: bool = True
+    missing: str = ""
 
     @property
     def title(self) -> str:
@@ -106,17 +107,19 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
         raise InputError(f"INDEX {index}: {dataset} has the scenes 0 … {scenes - 1}; name one of them")
     content = stored.read(index, "INDEX")
     classes = names["object_class"].classes if "object_class" in names else ()
-    config, meshes = config_of(manifest)
-    return StoredScene(config, index, content.arrays, content.parameters, classes, meshes)
+    config, missing = config_of(manifest)
+    return StoredScene(config, index, content.arrays, content.parameters, classes, missing)
 
 
-def config_of(manifest: Manifest) -> tuple[DatasetConfig, bool]:
-    """A dataset's configuration, and whether the mesh files that it names are there."""
+def config_of(manifest: Manifest) -> tuple[DatasetConfig, str]:
+    """A dataset's configuration, and a line about a mesh file that is missing; empty if all are there.
+
+    Raises `InputError` for a mesh file that has changed: a room with another object is not the one that was measured.
+    """
     try:
-        return manifest.parsed_config(), True
-    except InputError:
-        # Without a look at mesh files; where those were not the cause, this raises the same error.
-        return manifest.parsed_config(meshes=False), False
+        return manifest.parsed_config(), ""
+    except MissingMesh as error:
+        return manifest.parsed_config(meshes=False), str(error)
 
 
 def replay(stored: StoredScene) -> Replay:

@@ -30,15 +30,15 @@ _LABELS = (
 )
 
 
-def why_roomless(config: DatasetConfig, meshes: bool) -> str | None:
+def why_roomless(config: DatasetConfig, missing: str) -> str | None:
     """Why the rooms of a dataset cannot be drawn, as a whole clause; None where they can.
 
-    meshes : whether the mesh files that the configuration names are there.
+    missing : a line about a mesh file that is missing; empty if all are there.
     """
     layout = config.scene.layout
     if isinstance(layout, NoLayout):
         return layout.why
-    return None if meshes else "the mesh files of its objects are gone; put them back to see the rooms"
+    return "the mesh files of its objects are gone; put them back to see the rooms" if missing else None
 
 
 def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
@@ -51,7 +51,7 @@ def roomless_pages(stored: StoredScene) -> Iterator[tuple[str, Figure]]:
     seen = np.isfinite(stored.arrays["hidden_view"]).all()
     if not there and not (seen and images):
         raise InputError(
-            f"{stored.title}: {why_roomless(stored.config, stored.meshes)}, and neither histogram, transient nor "
+            f"{stored.title}: {why_roomless(stored.config, stored.missing)}, and neither histogram, transient nor "
             "labels are stored"
         )
     for name in there:
@@ -69,7 +69,7 @@ def _measured_page(stored: StoredScene, name: str) -> Figure:
     laser, pixel = (int(k) for k in np.unravel_index(int(np.argmax(whole)), whole.shape))
     raster = scans.raster_of(capture, (laser, pixel), frame)
     source = f" File: {stored.parameters['capture.file']}." if "capture.file" in stored.parameters else ""
-    why = why_roomless(stored.config, stored.meshes)
+    why = why_roomless(stored.config, stored.missing)
     text = (
         f"The stored {name}, and nothing beyond it: {why}.{source} Left: its sum at each place on the relay wall. "
         "Middle: along the row that has most (brightness: logarithm). Right: over time, summed over all and at the "
@@ -167,6 +167,9 @@ def _capture(stored: StoredScene) -> Capture:
     """The stored capture. A device without a stored place gets an arbitrary one, which no picture here shows."""
     arrays, settings = stored.arrays, stored.config.capture
     lit, pixels = np.asarray(arrays["laser_points"], np.float64), np.asarray(arrays["sensor_pixels"], np.float64)
+    # Pictures show what pixels look at, where that is known, and not how large their fields of view are.
+    seen = np.asarray(arrays["sensor_points"], np.float64)[:, None]
+    pixels = np.where(np.isfinite(seen), seen, pixels.mean(axis=1, keepdims=True)).repeat(4, axis=1)
     middle = pixels.mean(axis=(0, 1))
     lit = np.where(np.isfinite(lit), lit, middle)
 

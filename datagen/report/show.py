@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from warnings import warn
 
 from matplotlib.figure import Figure
 
+from datagen.errors import InputWarning
 from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
 from datagen.report import pages as drawn
 from datagen.report.evidence_pictures import evidence_page
@@ -34,15 +36,17 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
 
     Raises
     ------
-    InputError : no dataset, no such scene, a shard not committed, a scene that failed, an output that cannot be
-        written.
+    InputError : no dataset, no such scene, a shard not committed, a scene that failed, a mesh file that has changed,
+        an output that cannot be written.
     """
     stored = read_scene(dataset, index)
+    if stored.missing:
+        warn(f"{stored.missing}; only what is stored is drawn", InputWarning, stacklevel=2)
     root = Path(dataset).resolve()
     folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
     stem = f"scene-{index:06d}"
     with house_style():
-        roomless = why_roomless(stored.config, stored.meshes)
+        roomless = why_roomless(stored.config, stored.missing)
         made = pages(stored, replay(stored)) if roomless is None else roomless_pages(stored)
         return [save_png(figure, folder / f"{stem}-{name}.png") for name, figure in made]
 

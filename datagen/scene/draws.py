@@ -178,7 +178,7 @@ def draw_object(item: Item, room_height_m: float, rng: np.random.Generator) -> D
                 solid = solid.scaled(sizes["height_m"] / solid.top_m)
             return Drawn(solid, name, _extents(solid))
         case Mesh():
-            return _mesh(item, item.file, item.part_name, item.path, sizes["height_m"])
+            return _mesh(item, item.place, item.part_name, item.path, sizes["height_m"])
         case MeshFolder():
             classes = item.files()
             if not classes:

@@ -231,7 +231,7 @@ def meshes_named(spec: SceneConfig) -> Iterator[tuple[str, Solid, str]]:
         if not isinstance(item, Mesh | MeshFolder):
             continue
         if isinstance(item, Mesh):
-            files = {item.path: item.file}
+            files = {item.path: item.place}
         else:
             every = [file for files in item.files().values() for file in files]
             files = {item.shown(file): file for file in every[:: 1 + len(every) // MESHES_CHECKED]}

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -15,7 +14,7 @@ from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, tim
 from datagen.config.capture import TimeConfig
 from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
-from datagen.config.scene_contents import Mesh
+from datagen.config.scene_contents import MeshItem
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -37,6 +36,10 @@ _KEPT = ("stats", "config", "meshes", "mesh_folder", "metadata", "made_by", "fin
 
 class DamagedManifest(InputError):
     """Raised for a `dataset.json` that is not as it was written. A build with its configuration writes it anew."""
+
+
+class MissingMesh(InputError):
+    """Raised for a stored scene whose mesh file is no longer where its configuration says."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +103,15 @@ class Manifest:
     def parsed_config(self, meshes: bool = True) -> DatasetConfig:
         """The configuration as models. The version of datagen that made the dataset makes its scenes again from it.
 
-        meshes : look for the mesh files. Without it they may be missing, and scenes with meshes cannot be generated.
+        meshes : compare the mesh files with their digests. Without it they may be missing or others, and scenes with
+            meshes must not be generated.
 
-        Raises `InputError` if a mesh file is no longer where it was, a setting no longer exists, or the fields are
-        not those that the configuration gives.
+        Raises `MissingMesh` if a mesh file is no longer where it was, and `InputError` if it has changed, a setting
+        no longer exists, or the fields are not those that the configuration gives.
         """
-        folder = (self.mesh_folder or ".") if meshes else None
-        models = config_from_mapping(self.config, source=MANIFEST, base_directory=folder)
+        models = config_from_mapping(self.config, MANIFEST, self.mesh_folder or ".", look_for_files=False)
+        if meshes:
+            self._check_meshes(models)
         due = {(field.name, field.shape) for field in schema_of(models, self.schema.scenes_per_shard).fields}
         # A later version of datagen may store further fields with the same configuration.
         if not {(field.name, field.shape) for field in self.schema.fields} <= due:
@@ -114,6 +119,24 @@ class Manifest:
                 f"{MANIFEST}: its fields are not those that its configuration gives; build the dataset anew"
             )
         return models
+
+    def _check_meshes(self, config: DatasetConfig) -> None:
+        """Raise `InputError` for a mesh file or folder that is missing, or is not the one of the scenes."""
+        for i, item in enumerate(config.scene.contents):
+            if not isinstance(item, MeshItem):
+                continue
+            due, named = self.meshes.get(item.path), f"scene.contents[{i}].path = {item.path!r}"
+            if due is None:
+                raise DamagedManifest(f"{MANIFEST}: meshes: has no digest of {named}; {REMEDY}")
+            remedy = f"put the one of SHA-256 {due} there, from which the dataset was made"
+            try:
+                now = item.digest() if item.place.exists() else None
+            except OSError as error:
+                raise InputError(f"{named}: {item.place}: cannot be read ({error.strerror or error})") from None
+            if now is None:
+                raise MissingMesh(f"{named}: {item.place} is missing; {remedy}")
+            if now != due:
+                raise InputError(f"{named}: {item.place} has changed (SHA-256 {now}); {remedy}")
 
     def splits(self) -> SplitsConfig:
         """The division into splits. Raises `InputError` for settings that datagen does not write."""
@@ -147,10 +170,8 @@ def metadata_hashes(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str,
 
 def mesh_folder(config: DatasetConfig) -> str | None:
     """The folder from which the relative mesh paths of a configuration start; None if it has no such paths."""
-    for item in config.scene.contents:
-        if isinstance(item, Mesh) and not Path(item.path).is_absolute():
-            return str(item.file)[: -len(item.path)]
-    return None
+    bases = (item.base for item in config.scene.contents if isinstance(item, MeshItem))
+    return next((str(base) for base in bases if base is not None), None)
 
 
 def read_manifest(root: str | Location) -> Manifest:

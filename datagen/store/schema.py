@@ -243,16 +243,24 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
     rectangle = ("scene", "vector", "axis")
     imported = isinstance(config.scene.layout, ImportedCaptures)
     unknown = "; NaN when unknown" if imported else ""
+    unstated = " and where the file does not say it" if imported else ""
     # The axis `laser` of a flood's histograms has length 1, so its many points need an axis of another name.
     point = "laser" if lasers == config.capture.shape[0] else "laser_point"
     small = (
         ("laser_points", ("scene", point, "axis"), (lasers, 3),
          "where each laser ray meets the scene (of a flood: its quadrature points); NaN where it meets nothing"),
+        ("laser_normals", ("scene", point, "axis"), (lasers, 3),
+         f"unit normal of the surface at each laser point, on the laser's side; NaN as in laser_points{unstated}"),
         ("sensor_pixels", ("scene", "sensor_pixel", "corner", "axis"), (all_pixels, 4, 3),
          ("corners, in order around, of each pixel's field of view on (or beyond) the relay wall"
           if config.capture.device is None else
           "corners, in order around, of each pixel's field of view in the plane 1 m ahead of the sensor")
          + ("; all on one point: its extent is unknown" if imported and config.capture.device is None else "")),
+        ("sensor_points", ("scene", "sensor_pixel", "axis"), (all_pixels, 3),
+         "where the ray from the sensor through the middle of each pixel first meets the scene; NaN where it meets "
+         f"nothing{unstated}"),
+        ("sensor_normals", ("scene", "sensor_pixel", "axis"), (all_pixels, 3),
+         f"unit normal of the surface at each of sensor_points, on the sensor's side; NaN as there{unstated}"),
         ("laser_position", ("scene", "axis"), (3,), f"where the laser stands{unknown}"),
         ("sensor_position", ("scene", "axis"), (3,), f"centre of the sensor's aperture{unknown}"),
         ("relay_wall", rectangle, (3, 3), "the visible wall: centre and half extents right, up; NaN when unknown"),
@@ -261,4 +269,7 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
         ("hidden_bounds", ("scene", "bound", "axis"), (2, 3),
          "two opposite corners of the box that holds the hidden part; NaN when unknown"),
     )  # fmt: skip
-    return tuple(Field(name, dims, shape, "float64", "m", text, sharded=False) for name, dims, shape, text in small)
+    return tuple(
+        Field(name, dims, shape, "float64", "1" if name.endswith("normals") else "m", text, sharded=False)
+        for name, dims, shape, text in small
+    )

@@ -46,7 +46,7 @@ def scene(kind: str, origin: str) -> Any:
         np.add.at(counts, (0, np.arange(64)[None].repeat(64, 0), bins), 1.0)
     arrays = {
         "histogram": counts, "hidden_view": VIEW, "laser_points": to_scene(lasers),
-        "sensor_pixels": to_scene(grid)[:, None] + 0.01 * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]]),
+        "sensor_points": to_scene(grid),
         "laser_position": to_scene(device), "sensor_position": to_scene(device),
     }  # fmt: skip
     capture = {"pairing": "confocal" if kind == "confocal" else "exhaustive",

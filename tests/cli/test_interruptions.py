@@ -39,9 +39,9 @@ def test_a_command_that_is_ended_says_so_in_one_line() -> None:
         ("datagen.bench.accuracy load_config", "bench accuracy a.yaml out", ANEW),
         ("datagen.store verify", "verify out", CHANGED_NOTHING),
         ("datagen.store.info info", "info out", CHANGED_NOTHING),
-        ("datagen.export export", "export out files --format npz", FINISHED_FILES),
+        ("datagen.formats export", "export out files --format npz", FINISHED_FILES),
         ("datagen.config load_config", "build a.yaml out", GOES_ON),
-        ("datagen.importing import_captures", "import a.npz out", GOES_ON),
+        ("datagen.formats import_captures", "import a.npz out", GOES_ON),
     ],
 )
 def test_what_a_signal_would_leave_is_known_before_the_work_begins(

@@ -7,8 +7,11 @@ import numpy as np
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.records import Sample
+from datagen.records.sample import geometry_fields
 from datagen.scene import generate_scene
 from datagen.store import schema_of
+from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
+from datagen.transport.visibility.raycast import Raycaster
 
 LIGHT = 299_792_458.0
 CONFOCAL = {"scan": {"rows": 4, "columns": 5, "width_m": 0.8, "height_m": 0.6}}
@@ -49,7 +52,9 @@ def point_sample(config: DatasetConfig, index: int) -> Sample:
     """Seven counts in the bin in which light arrives that goes from laser point to the hidden point to pixel."""
     scene = generate_scene(config.scene, config.seed, index)
     capture = capture_for(config, scene, config.seed, index)
-    lit, seen = capture.laser.targets[:, None], capture.sensor.pixels.mean(axis=1)[None]
+    caster = Raycaster(scene)
+    at_lasers, at_pixels = lit_points(caster, capture.laser), seen_points(caster, capture.sensor)
+    lit, seen = at_lasers.position[:, None], at_pixels.position[None]
     seen = seen.swapaxes(0, 1) if capture.pairing == "confocal" else seen
     point = hidden_point(config, index)
     way = np.linalg.norm(lit - point, axis=-1) + np.linalg.norm(seen - point, axis=-1)
@@ -66,13 +71,11 @@ def point_sample(config: DatasetConfig, index: int) -> Sample:
         "histogram": counts,
         "transient": counts * 1e-9,
         "depth": np.arange(64.0).reshape(8, 8),
-        "laser_points": capture.laser.targets,
-        "sensor_pixels": capture.sensor.pixels,
-        "laser_position": capture.laser.position,
-        "sensor_position": capture.sensor.position,
-        "relay_wall": np.stack([wall.center, wall.right, wall.up]),
-        "hidden_view": np.stack([view.center, view.right, view.up]),
-        "hidden_bounds": scene.hidden_bounds,
-    }
+        **geometry_fields(
+            at_lasers, capture.sensor.pixels, at_pixels, capture.laser.position, capture.sensor.position,
+            np.stack([wall.center, wall.right, wall.up]), np.stack([view.center, view.right, view.up]),
+            scene.hidden_bounds,
+        ),
+    }  # fmt: skip
     assert set(given) == set(schema_of(config).by_name)
     return Sample(index, given, dict(scene.parameters), {"scene": 0.0})

@@ -165,11 +165,14 @@ def test_plain_files_hold_every_field_as_stored(made: Any, tmp_path: Path) -> No
         assert dict(file["parameters"].attrs) == dict(stored.parameters)
 
 
+PLACED = ("laser", "sensor", "laser_points", "sensor_points", "sensor_pixels")
+
+
 def test_glb_holds_parts_device_and_scan(made: Any, tmp_path: Path) -> None:
     (path,) = export(made("confocal"), tmp_path, "glb", "1")
     room, got = generate_scene(config_of("confocal", "wall").scene, 0, 1), trimesh.load(path)
     assert isinstance(got, trimesh.Scene)
-    assert {*room.part_names, "laser", "sensor", "laser_points", "sensor_pixels"} <= set(got.graph.nodes)
+    assert {*room.part_names, *PLACED} <= set(got.graph.nodes)
 
     def placed(name: str) -> np.ndarray:
         transform, geometry = got.graph[name]
@@ -187,7 +190,8 @@ def test_glb_holds_parts_device_and_scan(made: Any, tmp_path: Path) -> None:
         )
     stored = Scenes(made("confocal")).read(1).arrays
     np.testing.assert_allclose(placed("laser").mean(axis=0), stored["laser_position"], atol=1e-4)
-    np.testing.assert_allclose(placed("laser_points"), stored["laser_points"], atol=1e-5)
+    for name in ("laser_points", "sensor_points"):
+        np.testing.assert_allclose(placed(name), stored[name], atol=1e-5)
 
 
 def test_glb_of_a_scene_made_in_python(tmp_path: Path) -> None:
@@ -200,7 +204,7 @@ def test_glb_of_a_scene_made_in_python(tmp_path: Path) -> None:
     dg.write_glb(scene, str(tmp_path / "all.glb"), dg.Capture(laser, sensor, dg.TimeAxis(8, 1e-9)))
     parts, all_of_it = (trimesh.load(tmp_path / f"{name}.glb") for name in ("parts", "all"))
     assert set(parts.geometry) == {"wall", "ball"}
-    assert set(all_of_it.geometry) == {"wall", "ball", "laser", "sensor", "laser_points", "sensor_pixels"}
+    assert set(all_of_it.geometry) == {"wall", "ball", *PLACED}
     # The first laser ray meets the wall, the second nothing; the node turns what is up to +Y.
     lit = all_of_it.geometry["laser_points"].vertices
     np.testing.assert_allclose(lit, [[0.05, -1 / 60, 0.2 * 2.95 / 3]], atol=1e-6)

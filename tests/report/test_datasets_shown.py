@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records import Scene
 from datagen.report.contact_sheet import contact_sheet, label_sheet, mark_sight
 from datagen.report.parameter_plots import varying
@@ -227,6 +227,9 @@ def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
     )
     build(config, tmp_path / "set.zarr", 1, progress=False)
     (tmp_path / "panel.obj").unlink()
-    written = show(tmp_path / "set.zarr", 0)
+    with pytest.warns(InputWarning, match=r"panel\.obj is missing; put the one of SHA-256 [0-9a-f]{64} there"):
+        written = show(tmp_path / "set.zarr", 0)
     assert [path.name.split("-")[-1] for path in written] == ["histogram.png", "transient.png", "labels.png"]
-    assert "mesh files of its objects are gone" in preview(tmp_path / "set.zarr", scenes=1).read_text()
+    with pytest.warns(InputWarning, match=r"panel\.obj is missing"):
+        page = preview(tmp_path / "set.zarr", scenes=1).read_text()
+    assert "mesh files of its objects are gone" in page

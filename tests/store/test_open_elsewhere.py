@@ -92,7 +92,8 @@ def test_xarray_opens_it(dataset: Path) -> None:
     assert "_FillValue" not in opened.histogram.encoding | opened.histogram.attrs
     assert opened.histogram.attrs["units"] == "counts" and opened.depth.attrs["units"] == "m"
     assert opened.bin.dtype == np.float64 and opened.bin.dims == ("bin",) and opened.bin.attrs["units"] == "ps"
-    assert {"bin", "laser_points", "sensor_pixels", "laser_position", "relay_wall"} <= set(opened.coords)
+    points = {f"{device}_{what}" for device in ("laser", "sensor") for what in ("points", "normals", "position")}
+    assert {"bin", "sensor_pixels", "relay_wall", *points} <= set(opened.coords)
     assert set(opened.data_vars) | set(opened.coords) == {"bin", *schema.by_name}
     data = dg.TransientDataset(dataset, tuple(schema.by_name), counts="stored")
     for name in schema.by_name:

@@ -98,8 +98,8 @@ def test_unknown_points_and_places_add_nothing(dataset: Path) -> None:
     capture = config_from_mapping({"capture": {"scan": {"rows": 3, "columns": 4}}}).model_dump()["capture"]
     arrays = {name: stored.arrays[name].astype(float) for name in GEOMETRY}
     whole = scan_of(stored.arrays["histogram"][1:], {**arrays, "laser_points": arrays["laser_points"][1:],
-                    "sensor_pixels": arrays["sensor_pixels"][1:]}, capture, stored.time)  # fmt: skip
-    arrays["laser_points"][0] = arrays["sensor_pixels"][0] = np.nan
+                    "sensor_points": arrays["sensor_points"][1:]}, capture, stored.time)  # fmt: skip
+    arrays["laser_points"][0] = arrays["sensor_points"][0] = np.nan
     scan = scan_of(stored.arrays["histogram"], arrays, capture, stored.time)
     at = np.array([[0.2, 0.1, 1.0], [1e200, 0, 0], [np.nan, 0, 1], [0, np.inf, 0], [1e12, 0, 0]])
     with np.errstate(over="ignore"):

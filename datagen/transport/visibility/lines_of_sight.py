@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.records import Sensor
+from datagen.records import Laser, OnSurfaces, Sensor
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.visibility.raycast import Hits, Raycaster
 
@@ -72,6 +72,23 @@ def lines_of_sight(caster: Raycaster, sensor: Sensor, along: int) -> LinesOfSigh
     ahead = (reach > 0) & (reach < LONGEST_REACH * inner_reach)
     position = np.where(ahead[..., None], sensor.position + np.where(ahead, reach, 0.0)[..., None] * exact, found)
     return LinesOfSight(position, inner, met)
+
+
+def seen_points(caster: Raycaster, sensor: Sensor) -> OnSurfaces:
+    """What each pixel's middle looks at: the first surface along the ray from the sensor to the mean of its four
+    corners."""
+    return _first_surfaces(caster, sensor.position, sensor.pixels.mean(axis=1))
+
+
+def lit_points(caster: Raycaster, laser: Laser) -> OnSurfaces:
+    """The laser points: the first surface along the ray from the laser to each of its targets."""
+    return _first_surfaces(caster, laser.position, laser.targets)
+
+
+def _first_surfaces(caster: Raycaster, origin: Floats, towards: Floats) -> OnSurfaces:
+    met = caster.closest(origin, towards - origin)
+    found = met.valid[:, None]
+    return OnSurfaces(np.where(found, met.position, np.nan), np.where(found, met.normal, np.nan))
 
 
 def _length(vectors: Floats) -> Floats:
