@@ -115,7 +115,7 @@ def plan_effects(
     settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
     transient : the light that reaches the detector; left out, it is estimated with `PILOT_SAMPLES` hidden vertices.
     tolerance : that of `detect`, the largest relative bias of a cheaper sampler.
-    seed : seed of the trial run; the same arguments give the same decisions on any machine.
+    seed : seed of the trial run; the same arguments give the same decisions.
 
     Returns
     -------

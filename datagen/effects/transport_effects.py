@@ -143,7 +143,7 @@ def _measured(given: Transport, component: str, what: str) -> Change:
     trial = given.trial
     if trial is None:
         return Change(None, "trial", "not measured: a trial run would cost too much of so small a transport")
-    share = None if trial.dark else trial.share(component)
+    share = trial.share(component)
     if share is None:
         return Change(None, "trial", "the trial run met too little light to tell")
     return Change(share, "trial", f"{what} ≤ {share:.2g} of the indirect light in the trial run")

@@ -62,11 +62,6 @@ class Trial:
     components: Mapping[str, Floats]
     pixels: int = 1
 
-    @property
-    def dark(self) -> bool:
-        """Whether neither run found any light."""
-        return not any(component.any() for component in self.components.values())
-
     def share(self, name: str) -> float | None:
         """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None if T is lost in noise.
 
