@@ -7,6 +7,7 @@ sources in their names, and after any change of the sources kernels are compiled
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from contextlib import suppress
@@ -29,18 +30,22 @@ def digest_of_sources(root: Path) -> str:
     """
     digest = sha256()
     for package in ("datagen", "scene_library"):
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(path.relative_to(root).as_posix().encode())
-            digest.update(sha256(path.read_bytes()).digest())
+        for folder, inner, files in os.walk(root / package):
+            # Caches hold a thousand files and no source.
+            inner[:] = sorted(set(inner) - {"__pycache__"})
+            for path in (Path(folder, name) for name in sorted(files) if name.endswith(".py")):
+                digest.update(path.relative_to(root).as_posix().encode())
+                digest.update(sha256(path.read_bytes()).digest())
     return digest.hexdigest()[:16]
 
 
-SOURCES = digest_of_sources(Path(__file__).parents[1])
+ROOT = Path(__file__).parents[1]
+SOURCES = digest_of_sources(ROOT)
 _CACHED = re.compile(r"-([0-9a-f]{16})(\.\d+)?\.nb[ic]")
 """End of the name of a file of the cache: the digest, the number of the overload, numba's suffix."""
 
 
-class _NamedBySources(CompileResultCacheImpl):  # type: ignore[misc]
+class _NamedBySources(CompileResultCacheImpl):
     """What numba stores of a kernel, under a name that ends with the digest of the sources.
 
     A digest in numba's stamp of the source, inside of the file, would not do: processes of two versions, such as a
@@ -49,18 +54,22 @@ class _NamedBySources(CompileResultCacheImpl):  # type: ignore[misc]
 
     def get_filename_base(self, fullname: str, abiflags: str) -> str:
         """Beginning of the names of a kernel's files."""
-        return f"{super().get_filename_base(fullname, abiflags)}-{SOURCES}"
+        name = super().get_filename_base(fullname, abiflags)  # type: ignore[no-untyped-call]
+        return f"{name}-{SOURCES}"
 
 
-class _Cache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):
     """numba's cache of one function, beside its source, or in the user's cache folder where that is not writable."""
 
     _impl_class = _NamedBySources
 
     def save_overload(self, sig: object, data: object) -> None:
-        """Store what was compiled for a signature."""
+        """Store what was compiled for a signature, unless the sources have changed since this process began: some may
+        have been imported after the change."""
+        if digest_of_sources(ROOT) != SOURCES:
+            return
         _drop_others(self.cache_path)
-        super().save_overload(sig, data)
+        super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
 
 @cache
@@ -88,10 +97,10 @@ def compiled(**options: Any) -> Callable[[F], Dispatcher[F]]:
     shared = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
     def decorated(function: F) -> Dispatcher[F]:
-        kernel = njit(**shared | options)(function)
+        kernel: Any = njit(**shared | options)(function)
         # As `cache=True` does, with our names. With NUMBA_DISABLE_JIT the function comes back as it is.
         if isinstance(kernel, Dispatcher):
-            kernel._cache = _Cache(function)
+            kernel._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
         return cast("Dispatcher[F]", kernel)
 
     return decorated

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -193,7 +193,7 @@ class Spad:
                 f"Spad.tdc_dnl = {self.tdc_dnl:g} with tdc_edges_s: both set the widths of bins; leave one out"
             )
         try:
-            rows = _checked_edges(given)
+            rows = _checked_edges(cast(Any, given))
         except TypeError:
             # Lists and arrays have no hash.
             rows = _checked_edges.__wrapped__(given)

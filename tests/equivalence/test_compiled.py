@@ -76,13 +76,32 @@ print(kernel(10), twice(10), area(10), first, sum(kernel.stats.cache_hits.values
 """
 
 
-def started(root: Path) -> subprocess.Popen[str]:
+IMPORTS_AN_EDIT = """
+from pathlib import Path
+import datagen.compiled
+callee = Path(datagen.compiled.__file__).with_name("callee.py")
+text = callee.read_text()
+callee.write_text(text.replace("FACTOR = 2", "FACTOR = 4"))
+from datagen.caller import kernel
+print(kernel(10))
+callee.write_text(text)
+"""
+
+
+def started(root: Path, program: str = PROGRAM) -> subprocess.Popen[str]:
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     # Python's own cache goes by time and size of a file, which do not change here.
     environment |= {"PYTHONPATH": str(root), "PYTHONDONTWRITEBYTECODE": "1"}
     return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM], cwd=root, env=environment, text=True, stdout=subprocess.PIPE
+        [sys.executable, "-c", program], cwd=root, env=environment, text=True, stdout=subprocess.PIPE
     )
+
+
+def small_package(root: Path) -> None:
+    for name, text in PACKAGE.items():
+        (root / name).parent.mkdir(exist_ok=True)
+        (root / name).write_text(text)
+    shutil.copy(ROOT / "datagen" / "compiled.py", root / "datagen")
 
 
 def answers(*running: subprocess.Popen[str]) -> list[list[str]]:
@@ -102,10 +121,7 @@ def changed(path: Path, old: str, new: str) -> None:
 def test_kernels_follow_an_edit_of_any_source(tmp_path: Path) -> None:
     """A function or a constant of another file changes, its size and time do not: kernels of both packages and of
     tests compute the new values, in several processes that start at once, and nothing of the old ones stays."""
-    for name, text in PACKAGE.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    shutil.copy(ROOT / "datagen" / "compiled.py", tmp_path / "datagen")
+    small_package(tmp_path)
     assert answers(started(tmp_path)) == [["21", "42", "50", "True", "0"]]
     assert answers(started(tmp_path)) == [["21", "42", "50", "False", "1"]]
     old = {path.name for path in tmp_path.rglob("*.nb[ic]")}
@@ -118,3 +134,10 @@ def test_kernels_follow_an_edit_of_any_source(tmp_path: Path) -> None:
     new = {path.name for path in tmp_path.rglob("*.nb[ic]")}
     assert len(new) == len(old)
     assert new.isdisjoint(old)
+
+
+def test_an_edit_while_a_process_runs_is_not_stored_as_what_was_there_before(tmp_path: Path) -> None:
+    """A process imports a source after it was edited, and the edit is taken back: nobody computes with it later."""
+    small_package(tmp_path)
+    assert answers(started(tmp_path, IMPORTS_AN_EDIT)) == [["41"]]
+    assert answers(started(tmp_path))[0][0] == "21"
