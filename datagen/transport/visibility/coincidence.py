@@ -25,8 +25,8 @@ PLANE, APART = 1e-6, 1e-7
 """Distance between two planes up to which they count as one, and depth of an overlap in the plane up to which
 triangles only touch; both relative to the scene's largest side. Rays of single precision confuse such planes."""
 LIFT = 3.0
-"""Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room of
-10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
+"""Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room
+of 10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
 PAIRS, PLACES, LOOKED_FROM, RAYS = 64, 16, 16, 16
 """Most pairs of triangles of two parts that are tried in a plane, most places where light is looked for in it, most
 laser points that it is looked for from, and rays from each place that meet surfaces which may pass it on. They decide
@@ -72,8 +72,8 @@ class Apart:
         upper, lower = self.lying[0]
         more = f" (and {len(self.lying) - 1} more pairs of parts)" if len(self.lying) > 1 else ""
         return (
-            f"parts {upper!r} and {lower!r} lie in one place{more}: {upper!r} is taken to lie on {lower!r}; move them "
-            "apart by a millimetre, or cut one out of the other, if it is meant otherwise"
+            f"parts {upper!r} and {lower!r} lie in one place{more}: {upper!r} is taken to lie on {lower!r}; move "
+            "them apart by a millimetre, or cut one out of the other, if it is meant otherwise"
         )
 
 
@@ -86,7 +86,11 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
     sources = _sources(caster, capture)
     vertices, triangles = scene.vertices, np.array(scene.triangles)
     # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
-    level, moves, lying = np.zeros(len(triangles), np.int64), list[tuple[int, Ints, Floats]](), list[tuple[str, str]]()
+    level, moves, lying = (
+        np.zeros(len(triangles), np.int64),
+        list[tuple[int, Ints, Floats]](),
+        list[tuple[str, str]](),
+    )
 
     def rank(part: int) -> tuple[bool, int]:
         return scene.roles[part] == "object", part
@@ -113,7 +117,10 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         used, index = np.unique(triangles[own], return_inverse=True)
         triangles[own] = (len(vertices) + index).reshape(-1, 3)
         # Vertices of its own, as those of a part below must stay.
-        vertices, shift = np.concatenate([vertices, vertices[used]]), np.concatenate([shift, np.zeros((len(used), 3))])
+        vertices, shift = (
+            np.concatenate([vertices, vertices[used]]),
+            np.concatenate([shift, np.zeros((len(used), 3))]),
+        )
     for _, rows, move in moves:
         moved = np.unique(triangles[rows])
         length = float(np.linalg.norm(move))
@@ -137,7 +144,9 @@ def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
     places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
     starts = places + 2.0 * side * caster.offset_m * plane.normal
     direct = _seen(caster, starts, sources)
-    hits = caster.closest(np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    hits = caster.closest(
+        np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1))
+    )
     beyond = (hits.position + caster.offset_m * hits.normal)[hits.valid]
     return direct + _seen(caster, beyond, sources)
 
@@ -164,7 +173,7 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
     At most `PAIRS` pairs of triangles of each two parts are tried in each plane; each pair gives four or more places.
     A plane may come twice.
     """
-    corners, part = scene.corners, np.asarray(scene.face_part)
+    corners, part = scene.corners, scene.face_part.astype(np.int64)
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     extent = float((high - low).max())
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
