@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
+from itertools import islice
 from warnings import warn
 
 import numpy as np
@@ -175,7 +176,7 @@ def check_inputs(config: DatasetConfig) -> None:
     dark = np.zeros((1, *capture.shape[1:]))
     tolerance, approximate = config.detector.tolerance, config.detector.approximate
     choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in (*_most_likely_not_meant(config), *_coincident(tried), *_too_late(config, tried)):
+    for warning in (*_most_likely_not_meant(config), *parts_in_one_place(tried), *_too_late(config, tried)):
         warn(warning, InputWarning, stacklevel=3)
 
 
@@ -202,9 +203,9 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
         )
 
 
-def _coincident(tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if parts of one of the scenes tried lie in one place."""
-    for index, (scene, capture) in enumerate(tried):
+def parts_in_one_place(scenes: Iterable[tuple[Scene, Capture]]) -> Iterator[str]:
+    """A warning if parts of one of the first `SCENES_TRIED` scenes lie in one place."""
+    for index, (scene, capture) in enumerate(islice(scenes, SCENES_TRIED)):
         warning = set_apart(scene, capture).warning
         if warning:
             yield f"scene {index}: {warning}"

@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.labels.boxes import classes_in
-from datagen.pipeline import BACKGROUND_FIELDS, sample_of
+from datagen.pipeline import BACKGROUND_FIELDS, parts_in_one_place, sample_of
 from datagen.records import Capture, Sample, Scene
 from datagen.records.arrays import Floats
 
@@ -76,6 +77,8 @@ def build_from(
     if not given:
         raise InputError("scenes: none given; a dataset needs at least one")
     config = _config(given, fields, seed, dict(settings or {}))
+    for warning in parts_in_one_place((item.scene, item.capture) for item in given):
+        warn(warning, InputWarning, stacklevel=2)
     with tempfile.TemporaryDirectory(prefix="datagen-") as folder:
         # One file a scene: a worker reads only the scenes that it makes.
         for number, item in enumerate(given):

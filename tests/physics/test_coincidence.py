@@ -1,5 +1,5 @@
-"""Parts in one place: one lies on the other, for every way the same, and a line says so; neighbours that share an edge,
-and what no light gets to, stay as they are."""
+"""Parts in one place: one lies on the other, for every way the same, and a line says so; neighbours that share an
+edge, and what no light gets to, stay as they are."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ SIDEWAYS = one_point_capture((0, -0.5, 0.6), (0, 0.5, 0.6), device=(3, 0, 1.5))
 def scene_of(*meshes: trimesh.Trimesh, roles: tuple[Role, ...] = ()) -> dg.Scene:
     roles = roles or ("object",) * len(meshes)
     parts = zip(meshes, roles, strict=True)
-    return dg.Scene.from_parts([dg.Part(f"part {k}", mesh, dg.Lambertian(0.5), role) for k, (mesh, role) in enumerate(parts)])  # fmt: skip
+    made = [dg.Part(f"part {k}", mesh, dg.Lambertian(0.5), role) for k, (mesh, role) in enumerate(parts)]
+    return dg.Scene.from_parts(made)
 
 
 def seen_from(
@@ -96,7 +97,9 @@ def test_what_lies_on_something_is_met_first_and_nothing_else_moves() -> None:
     apart = set_apart(scene, SIDEWAYS)
     assert set(apart.lying) == {("part 1", "part 3"), ("part 2", "part 3"), ("part 2", "part 1")}
     step = LIFT * Raycaster(scene).offset_m
-    heights = [np.unique(apart.scene.corners[apart.scene.faces_of(name)][..., 2]) for name in ("part 3", "part 1", "part 2")]  # fmt: skip
+    heights = [
+        np.unique(apart.scene.corners[apart.scene.faces_of(name)][..., 2]) for name in ("part 3", "part 1", "part 2")
+    ]
     assert [len(height) for height in heights] == [1, 1, 1]
     np.testing.assert_allclose(np.ravel(heights), [0, step, 2 * step], atol=1e-12)
     np.testing.assert_array_equal(apart.scene.corners[:, :, :2], scene.corners[:, :, :2])
@@ -120,8 +123,8 @@ def plate_in_a_floor(gap_m: float = 0.0) -> dg.Scene:
 
 
 def test_light_of_a_plate_in_a_floor_is_that_of_plain_paths() -> None:
-    """By elements, by path tracing and by plain paths: the floor beneath the plate is dark, and all is as if the plate
-    lay a tenth of a millimetre higher."""
+    """By elements, by path tracing and by plain paths: the floor beneath the plate is dark, and all is as if the
+    plate lay a tenth of a millimetre higher."""
     inside, above = plate_in_a_floor(), plate_in_a_floor(1e-4)
     truth = reference(above, SIDEWAYS, samples=1 << 16, replicates=8, seed=1, draw=sample_paths)
     plain = reference(inside, SIDEWAYS, samples=1 << 16, replicates=8, seed=2, draw=sample_paths)

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 
 import datagen as dg
+from datagen.errors import InputWarning
 from datagen.formats import export
 from datagen.store import verify
 from datagen.store.info import info
@@ -107,3 +108,32 @@ def test_a_laser_that_meets_nothing_fails_its_scene(tmp_path: Path) -> None:
     with pytest.raises(dg.CheckError, match="1 of 2 scenes"):
         dg.build_from(scenes, tmp_path / "past", capture(), settings=QUICK, progress=False)
     assert "meet no surface" in info(tmp_path / "past")
+
+
+def test_a_sheet_on_a_wall_is_labelled_whole_and_brings_a_line(tmp_path: Path) -> None:
+    """An object in the very plane of a hidden wall: its label has no speckles, and a warning names it."""
+    wall = trimesh.creation.box((0.1, 4, 3)).apply_translation((-0.05, 0, 0))
+    far = trimesh.creation.box((0.1, 1.5, 3)).apply_translation((1.55, 1.2, 0))
+    sheet = trimesh.Trimesh(
+        [(1.5, 0.7, -0.3), (1.5, 1.3, -0.3), (1.5, 1.3, 0.3), (1.5, 0.7, 0.3)], [(0, 1, 2), (0, 2, 3)]
+    )
+    parts = [
+        dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"), dg.Part("sheet", sheet, dg.Lambertian(0.1)),
+        dg.Part("far", far, dg.Lambertian(0.8), "structure"),
+    ]  # fmt: skip
+    front = dg.Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
+    view = dg.Rectangle.of((0, 1, 0), (0, 0.5, 0), (0, 0, 0.5))
+    scene = dg.Scene.from_parts(parts, relay_wall=front, hidden_view=view)
+    line = r"scene 0: parts 'sheet' and 'far' lie in one place: 'sheet' is taken to lie on 'far'"
+    settings = {"transport": {"lookins": 256, "fov_samples": 1}, "labels": {"rows": 20, "columns": 20}}
+    with pytest.warns(InputWarning, match=line):
+        dg.build_from(
+            [scene], tmp_path / "sheet", capture(), fields=("transient", "depth", "part_id"), settings=settings,
+            progress=False,
+        )  # fmt: skip
+    item = dg.TransientDataset(tmp_path / "sheet", ("transient", "depth", "part_id"))[0]
+    # Pixels of 5 cm; the sheet is 60 cm wide and high and in the middle of the view.
+    inside = np.zeros((20, 20), bool)
+    inside[4:16, 4:16] = True
+    np.testing.assert_array_equal(item["part_id"].numpy() == 1, inside)
+    assert item["depth"].numpy()[inside] == pytest.approx(1.5, abs=1e-3)

@@ -25,8 +25,8 @@ PLANE, APART = 1e-6, 1e-7
 """Distance between two planes up to which they count as one, and depth of an overlap in the plane up to which
 triangles only touch; both relative to the scene's largest side. Rays of single precision confuse such planes."""
 LIFT = 3.0
-"""Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room of
-10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
+"""Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room
+of 10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
 PAIRS, PLACES, LOOKED_FROM, RAYS = 64, 16, 16, 16
 """Most pairs of triangles of two parts that are tried in a plane, most places where light is looked for in it, most
 laser points that it is looked for from, and rays from each place that meet surfaces which may pass it on. They decide
@@ -72,8 +72,8 @@ class Apart:
         upper, lower = self.lying[0]
         more = f" (and {len(self.lying) - 1} more pairs of parts)" if len(self.lying) > 1 else ""
         return (
-            f"parts {upper!r} and {lower!r} lie in one place{more}: {upper!r} is taken to lie on {lower!r}; move them "
-            "apart by a millimetre, or cut one out of the other, if it is meant otherwise"
+            f"parts {upper!r} and {lower!r} lie in one place{more}: {upper!r} is taken to lie on {lower!r}; move "
+            "them apart by a millimetre, or cut one out of the other, if it is meant otherwise"
         )
 
 
@@ -173,7 +173,7 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
     At most `PAIRS` pairs of triangles of each two parts are tried in each plane; each pair gives four or more places.
     A plane may come twice.
     """
-    corners, part = scene.corners, np.asarray(scene.face_part)
+    corners, part = scene.corners, scene.face_part.astype(np.int64)
     low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
     extent = float((high - low).max())
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
