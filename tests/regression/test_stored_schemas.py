@@ -18,8 +18,8 @@ from torch.utils.data import DataLoader
 import datagen as dg
 from datagen.errors import InputError
 from datagen.loader import collate
+from datagen.report.pages import show
 from datagen.report.preview import preview
-from datagen.report.show import show
 from datagen.store import read_manifest, verify
 from datagen.store.info import info
 from datagen.store.schema import SCHEMA_VERSION, SCHEMA_VERSIONS
@@ -82,7 +82,6 @@ def test_its_noise_can_be_drawn_anew(version: int) -> None:
     assert np.ptp(totals) > 0
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_it_can_be_described_and_shown(tmp_path: Path) -> None:
     assert "made by      datagen 0.1.0, schema 1" in info(ONE)
     assert all(picture.is_file() for picture in show(ONE, 1, tmp_path / "show"))
