@@ -252,8 +252,8 @@ def info(dataset: str) -> None:
 @click.argument("index", type=int)
 @click.option("--out", help="Folder for the pictures; left out: DATASET.show beside the dataset.")
 def show(dataset: str, index: int, out: str | None) -> None:
-    """Draw scene INDEX of DATASET: room, transient, histogram, labels."""
-    from datagen.report.show import show as draw
+    """Draw scene INDEX of DATASET: room with light by part, counts, labels, scan."""
+    from datagen.report.pages import show as draw
 
     for picture in draw(dataset, index, out):
         click.echo(picture)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 from here_and_now import one_worker_here
@@ -70,45 +69,3 @@ def no_disk_is_waited_for() -> Iterator[None]:
 def one_worker_builds_here() -> Iterator[None]:
     with one_worker_here():
         yield
-
-
-@pytest.fixture(scope="session")
-def few_pixels() -> Iterator[None]:
-    """What is drawn, and where, does not depend on the resolution; the time does. Figures are painted once, not once
-    more before to find out what sticks out."""
-    from matplotlib.figure import Figure
-
-    from datagen.report import room_plots, style
-    from datagen.report.cutaway import shaded
-
-    def coarse(*arguments: Any) -> Any:
-        *others, pixels = arguments
-        return shaded(*others, pixels // 4)
-
-    def painted(figure: Figure, file: Any, format: str, metadata: dict[str, Any]) -> None:
-        assert format == "png"
-        figure.canvas.print_png(file, metadata=metadata)  # type: ignore[attr-defined]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "DPI", 50)
-        patch.setattr(room_plots, "shaded", coarse)
-        patch.setattr(Figure, "savefig", painted)
-        yield
-
-
-@pytest.fixture
-def without_ticks(few_pixels: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are painted where they stand, without ticks: most of the time would go into those, and into finding
-    places for axes by their contents, which tests/report/test_show_pictures.py does with all of them."""
-    from matplotlib.figure import Figure
-
-    whole = Figure.savefig
-
-    def painted(figure: Figure, file: Any, **options: Any) -> None:
-        figure.set_layout_engine("none")
-        for axes in figure.axes:
-            axes.xaxis.set_visible(False)
-            axes.yaxis.set_visible(False)
-        whole(figure, file, **options)
-
-    monkeypatch.setattr(Figure, "savefig", painted)

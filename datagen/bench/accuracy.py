@@ -39,12 +39,11 @@ Run = Callable[[Accuracy, int], tuple[Floats, float]]
 GOALS = (0.10, 0.05, 0.02, 0.01)
 """Errors for which the report recommends settings."""
 RUNS_IN_BUDGET = 250
-"""How many runs of the base setting fit into the budget; its lookins are halved until they do. With half as many
-there is no time left for the slow ends of the sweeps."""
+"""How many runs of the base setting fit into the budget; its lookins are halved until they do."""
 SHARE_OF_REFERENCE = 0.25
-"""Share of the budget for each of the two truths. Halved, the truths' own errors are 1.4 times as large."""
+"""Share of the budget for each of the two truths, whose own errors fall with its root."""
 SLOWEST_SHARE = 0.04
-"""Share of the budget above which one run of a setting ends its sweep. Halved, small errors are not reached."""
+"""Share of the budget above which one run of a setting ends its sweep."""
 REFERENCE_SEED = 1 << 40
 FEWEST_LOOKINS, SMALLEST_SWEPT = 64, 16
 OBSERVED = 1024

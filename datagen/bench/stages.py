@@ -25,7 +25,7 @@ from datagen.store import ShardRecord, committed, prepare, read_manifest, schema
 from datagen.store.info import STAGES, seconds_by_stage
 
 LEAST_SHARDS = 4
-"""Fewest shards of a build. With half as many, none is left for the rates after the first shards of two workers."""
+"""Fewest shards of a build: two workers' first ones, which are left out of the rates, and as many after them."""
 SIMULATION = ("scene", "transport", "detector")
 """Stages that make a sample; all others count as overhead."""
 CORES = 16

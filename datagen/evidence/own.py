@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector import Exposure, Spad
-from datagen.detector.own_light import detections_per_photon, own_light, squared_over
+from datagen.detector.own_light import detections_per_photon, own_light
 from datagen.errors import InputError
 from datagen.evidence.image import ScanPairs
 from datagen.records import Scalar, Transient
@@ -120,18 +120,6 @@ def _sums(own: Floats, everything: Floats) -> tuple[float, float, float]:
             square += s * (s / b)
             highest = max(highest, s)
     return total, square, highest
-
-
-def significance_in_time(
-    transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str]
-) -> dict[str, Floats]:
-    """Part name → (bin,) √Σ s²/b over laser points and pixels, whose squares add up to that of the significance."""
-    names = tuple(parts)
-    squares = np.zeros((len(names), transient.time.bins // spad.bins_merged))
-    for block in own_light(transient.total, [transient.parts[n] for n in names], transient.time, spad, exposure):
-        for k, own in enumerate(block.own):
-            squares[k] += squared_over(own, block.everything).sum(axis=(0, 1))
-    return dict(zip(names, np.sqrt(squares), strict=True))
 
 
 def evidence_parameters(evidence: Mapping[str, Evidence]) -> dict[str, Scalar]:

@@ -17,8 +17,7 @@ from datagen.paper.printed_paths import PrintedLookins, PrintedRoom, half_cube, 
 from datagen.paper.runs import PEAKS_NS, SECONDARY, TIME_LABEL, Runs, Scheme, Simulation, colors_of, curve_window
 from datagen.records import Scene, SinLobe
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.report.cutaway import normals_of
-from datagen.report.room_plots import RoomPicture, draw_opened
+from datagen.report.rooms import RoomPicture, draw_opened, normals_of
 from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
 
 UNIT_M = 1e-3
@@ -164,8 +163,8 @@ def _paint(
 ) -> None:  # fmt: skip
     """Points over the opened room, coloured by value relative to the highest; those on removed walls left out."""
     draw_opened(axes, backdrop, arrows=False)
-    camera, cut, _ = backdrop.opened
-    shown = np.flatnonzero(np.isin(face, cut.faces) & (values > 0))
+    camera, drawn, _ = backdrop.opened
+    shown = np.flatnonzero(np.isin(face, drawn) & (values > 0))
     if not len(shown):
         return
     highest = float(values[values > 0].max()) if linear else float(np.quantile(values[shown], 0.999))

@@ -21,7 +21,7 @@ from datagen.errors import InputError
 from datagen.paper.as_printed import AsPrinted, simulate_as_printed
 from datagen.records import Accuracy, Capture, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
-from datagen.report.time_plots import busy_window
+from datagen.report.curves import busy_window
 from datagen.scene import generate_scene
 from datagen.transport import simulate
 from datagen.units import time_from_path

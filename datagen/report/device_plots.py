@@ -12,7 +12,7 @@ from datagen.records.arrays import Floats
 from datagen.report.style import EXPECTED, INK, check_png, new_figure, save_png
 
 MARGIN_BINS = 12
-"""Bins shown before and after what is bright. Halved, tails are cut off."""
+"""Bins shown before and after what is bright, for its tails."""
 
 
 def draw_calibration(found: Calibration, path: str | Path) -> None:

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap
 from numpy.typing import NDArray
 
 from datagen.detector import Exposure, Spad, detect
@@ -33,15 +32,15 @@ VIEW = (0.78, 0.62)
 """Tangents of half the width and height of the pictures: wider than the field of any device of the catalogue."""
 PIXELS = 360
 """Pixels of a picture from left to right."""
-THINGS = {"box": 0.55, "ball": 0.85, "wall": 1.2}
-"""What stands in the room → depth of its front, metres."""
+FRONTS_M = {"box": 0.55, "ball": 0.85, "wall": 1.2}
+"""What stands in the room → depth of its front."""
 NEAR_M, FAR_M = 0.4, 1.4
 """Ends of the scale of colours."""
 MOST_CURVES = 81
-"""Most histograms drawn for a device. With half as many, pictures of 8 × 8 zones lack some."""
+"""Most histograms drawn for a device: more would cover one another."""
 MOST_DETECTIONS = 0.02
 """Detections a laser pulse above which a scanning device's laser is attenuated, as a filter would do it, so that the
-first photons do not hide all others. Halved, fewer counts."""
+first photons do not hide all others."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ def seen_by(device: Device, scene: Scene) -> Seen:
     capture, spad, exposure = device.at(PLACE, PLACE + np.array([1.0, 0.0, 0.0]))
     if isinstance(device.counting.gate_ns, tuple) and spad.gate_width_s is not None:
         # Such a gate moves in steps; here it stands where the wall's light arrives.
-        middle_s = 2 * THINGS["wall"] / SPEED_OF_LIGHT_M_PER_S
+        middle_s = 2 * FRONTS_M["wall"] / SPEED_OF_LIGHT_M_PER_S
         spad = replace(spad, gate_start_s=middle_s - spad.gate_width_s / 2)
     # Once before the clock runs, for kernels that are compiled at their first call.
     light = transient_of(scene, capture, ACCURACY, 0)
@@ -137,40 +136,27 @@ def table(seen: Sequence[Seen]) -> str:
 def _draw(scene: Scene, seen: Sequence[Seen], path: Path) -> None:
     """A row for each device: the room as it faces it, with its zones and its light, and its histograms."""
     text = (
-        "The same room for every device: a box 0.55 m away, a ball on a pedestal at 0.85 m, a wall at 1.2 m, a "
-        "floor. Left: the room as the device faces it; the colour is the depth, black lines are its zones (of a scan "
-        "with one pixel at each point: dots), the dashed orange line is the field that its light fills, orange dots "
-        "are separate beams. Right: counts of one frame in each zone's histogram over the distance that a bin stands "
-        "for. The colour of a curve is the mean depth of what its zone sees, so it peaks below the triangle of its "
-        "colour; a zone that sees several things peaks at each of them. The even floors are dark counts. Scanning "
-        "devices, made for walls metres away, would be blinded here, so their laser is weakened."
+        "Left: the room as each device faces it, coloured by depth, with its zones (black; dots: points of a scan) "
+        "and its light (orange); right: counts of one frame of each zone over the distance that a bin stands for, in "
+        "the colour of the mean depth that the zone sees."
     )
     colors = colormaps["turbo_r"]
     with house_style():
-        figure, grid = captioned(12, [0.3, *[2.3] * len(seen)], text, "What each device sees of the same room", 2,
-                                 [1, 2.1])  # fmt: skip
-        scale = figure.add_subplot(grid[0, 0])
-        figure.colorbar(
-            ScalarMappable(Normalize(NEAR_M, FAR_M), colors), cax=scale, orientation="horizontal",
-            label="depth (m)",
-        )  # fmt: skip
-        _draw_key(figure.add_subplot(grid[0, 1]), colors)
+        title = "What each device sees of the same room"
+        figure, grid = captioned(12, [2.3] * len(seen), text, title, 2, [1, 2.1])
         picture = _picture(scene, colors)
-        for row, one in enumerate(seen, start=1):
+        for row, one in enumerate(seen):
             _draw_view(figure.add_subplot(grid[row, 0]), one, picture)
             axes = figure.add_subplot(grid[row, 1])
             _draw_histograms(axes, one, colors)
-            axes.set_xlabel("distance that the bin stands for (m)" if row == len(seen) else "")
+            if row == 0:
+                top = axes.get_ylim()[1]
+                for name, depth in FRONTS_M.items():
+                    axes.annotate(
+                        f"{name}, {depth:g} m", (depth, top), (4, -11), textcoords="offset points", fontsize=8
+                    )
+            axes.set_xlabel("distance that the bin stands for (m)" if row + 1 == len(seen) else "")
         save_png(figure, path)
-
-
-def _draw_key(axes: Axes, colors: Colormap) -> None:
-    """The triangles that stand at the depths of the room's things."""
-    axes.set(xlim=(0, 4), ylim=(0, 1))
-    axes.set_axis_off()
-    for place, (name, depth) in enumerate(THINGS.items()):
-        axes.plot([place + 0.25], [0.5], "v", color=_color(colors, np.array([depth]))[0], ms=9, mec="black")
-        axes.text(place + 0.34, 0.5, f"front of the {name}, {depth:g} m", va="center", fontsize=9)
 
 
 def _picture(scene: Scene, colors: Colormap) -> Floats:
@@ -235,7 +221,7 @@ def _draw_histograms(axes: Axes, one: Seen, colors: Colormap) -> None:
         axes.stairs(np.maximum(curves[k], 0.5), edges_m, color=color, lw=0.9, baseline=None)
     axes.set(yscale="log", xlim=(-0.15, 2.0), ylim=(0.7, 2.5 * max(float(curves.max()), 10.0)))
     top = axes.get_ylim()[1]
-    for depth in THINGS.values():
+    for depth in FRONTS_M.values():
         axes.plot([depth], [top], "v", color=_color(colors, np.array([depth]))[0], ms=9, mec="black", clip_on=False)
     if edges_m[-1] < 2.0:
         axes.axvspan(edges_m[-1], 2.0, color="#EEEEEE", lw=0)

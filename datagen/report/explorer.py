@@ -14,22 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from datagen.labels import ViewFrame
+from datagen.labels import IMAGE_FIELDS
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.records.arrays import Floats
-from datagen.report import scan_plots as scans
-from datagen.report.evidence_pictures import stated_significance
+from datagen.report.curves import busy_window
+from datagen.report.labels import LabelImage
 from datagen.report.replay import Replay, StoredScene
+from datagen.report.scans import Raster
 from datagen.report.style import part_colors
-from datagen.report.time_plots import busy_window, clear_channel
 
 MOST_TRIANGLES = 400
-"""A part of more triangles is shown as its bounding box. Half as many would show furniture as boxes."""
+"""A part of more triangles is shown as its bounding box; furniture has fewer."""
 MOST_BINS = 128
 DECADES = 4.0
 """Time bins of a scan, and range of its brightness."""
-_IMAGES = ("depth", "albedo", "shaded", "normal", "part_id")
 _CUBE = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
                   [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
 
@@ -41,17 +40,17 @@ def explorer(scenes: Sequence[dict[str, Any]]) -> str:
     return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("</", "<\\/"))
 
 
-def scene_data(stored: StoredScene, scene: Scene, error: float | None, again: Replay | None) -> dict[str, Any]:
-    """One scene as plain values: triangles, labels and what filters need; with `again`, its light, too."""
+def scene_data(stored: StoredScene, scene: Scene, error: float | None, replayed: Replay | None) -> dict[str, Any]:
+    """One scene as plain values: triangles, labels and what filters need; with `replayed`, its light, too."""
     return {
         "index": stored.index,
         "layout": str(stored.parameters.get("layout.kind", "")),
         "classes": list(classes_in(scene)),
         "error": None if error is None or not np.isfinite(error) else float(error),
-        "parts": _parts(scene, stated_significance(stored, scene)),
+        "parts": _parts(scene, stored.significance()),
         "device": None if scene.device_position is None else np.round(scene.device_position, 3).tolist(),
         "labels": _labels(stored, scene),
-        "scan": None if again is None else _scan(again),
+        "scan": None if replayed is None else _scan(replayed),
     }
 
 
@@ -74,53 +73,31 @@ def _parts(scene: Scene, significance: Mapping[str, float]) -> list[dict[str, An
 
 
 def _labels(stored: StoredScene, scene: Scene) -> list[dict[str, Any]]:
-    """Stored label images as bytes, of one band (grey) or three (red, green, blue)."""
-    frame = ViewFrame.of(scene)
+    """Stored label images as bytes, red, green and blue."""
     images = []
-    for name in _IMAGES:
-        if name not in stored.arrays:
-            continue
-        values = np.asarray(stored.arrays[name], np.float64)
-        meaning = name
-        if name == "normal":
-            shown = np.where(np.abs(values).sum(axis=-1, keepdims=True) > 0, (values * [1, 1, -1] + 1) / 2, 1.0)
-        elif name == "part_id":
-            colors = [part_colors(scene)[part] for part in scene.part_names]
-            table = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in colors] + [[255] * 3]) / 255
-            shown = table[stored.arrays[name].astype(np.int64)]
-        else:
-            highest = float(values.max()) or 1.0
-            shown = 1 - 0.85 * values / highest if name == "depth" else values / highest
-            shown = np.where(values > 0, shown, 1.0 if name == "depth" else 0.0)
-            unit = " m" if name == "depth" else ""
-            meaning = f"{name}, 0 … {highest:.3g}{unit}"
-        size = [round(2 * frame.half_width_m, 3), round(2 * frame.half_height_m, 3)]
-        rows, columns = shown.shape[:2]
-        bands = 3 if shown.ndim == 3 else 1
-        images.append(
-            {"name": meaning, "rows": rows, "columns": columns, "bands": bands, "size": size, "values": _bytes(shown)}
-        )
+    for name in (name for name in IMAGE_FIELDS if name in stored.arrays):
+        image = LabelImage.of(scene, name, stored.arrays[name])
+        colors, size = image.rgb, np.round(image.high - image.low, 3).tolist()
+        rows, columns, _ = colors.shape
+        title = image.look.title + ("" if image.span is None else f", {image.span[0]:.3g} … {image.span[1]:.3g}")
+        values = base64.b64encode(colors.tobytes()).decode()
+        images.append({"name": title, "rows": rows, "columns": columns, "size": size, "values": values})
     return images
 
 
-def _scan(again: Replay) -> dict[str, Any]:
+def _scan(replayed: Replay) -> dict[str, Any]:
     """The light at each place of the scan, by object and of the rest of the room, logarithmic in bytes."""
-    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), again.frame)
-    total = again.transient.total
-    layers = _layers(again, total)
-    if raster is None:
-        grids = {name: values.sum(axis=1)[None] for name, values in layers.items()}
-    else:
-        grids = {name: scans.scan_of(values, raster) for name, values in layers.items()}
+    raster, total = Raster.of(replayed.light), replayed.transient.total
+    grids = {name: raster.scan_of(values) for name, values in _layers(replayed, total).items()}
     whole = next(iter(grids.values()))
-    time = again.capture.time
+    time = replayed.capture.time
     low, high = busy_window(whole.reshape(-1, time.bins), time, 0.999)
     first, last = np.searchsorted(time.edges_s * 1e9, [low, high])
     first, last = max(int(first) - 1, 0), min(max(int(last), 1), time.bins)
     step = max(1, -(-(last - first) // MOST_BINS))
     starts = np.arange(first, last, step)
     binned = {name: np.add.reduceat(values[..., :last], starts, axis=-1) for name, values in grids.items()}
-    highest, colors = max(float(values.max()) for values in binned.values()) or 1.0, part_colors(again.scene)
+    highest, colors = max(float(values.max()) for values in binned.values()) or 1.0, part_colors(replayed.scene)
     curves = [
         {
             "name": name,
@@ -136,9 +113,11 @@ def _scan(again: Replay) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _layers(again: Replay, total: Floats) -> Mapping[str, Floats]:
+def _layers(replayed: Replay, total: Floats) -> Mapping[str, Floats]:
     """Name → (laser, pixel, bin): all light, the light of each of the first five objects, and the rest."""
-    chosen = {name: again.transient.parts[name] for name in again.scene.objects if name in again.transient.parts}
+    chosen = {
+        name: replayed.transient.parts[name] for name in replayed.scene.objects if name in replayed.transient.parts
+    }
     chosen = dict(itertools.islice(chosen.items(), 5))
     if not chosen:
         return {"all light": total}

@@ -1,283 +1,229 @@
-"""The pictures of one scene, each a figure with a title, axes with units, and a caption that explains it."""
+"""`datagen show`: the pictures of one stored scene, each with axes with units and a caption of a sentence."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from datagen.errors import InputError, InputWarning
+from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, make_labels
 from datagen.labels.frame import scan_place
-from datagen.records import Scene
+from datagen.records import Capture, Scene, TimeAxis
 from datagen.records.arrays import Floats
-from datagen.report import scan_plots as scans
-from datagen.report import time_plots as times
-from datagen.report.label_plots import draw_label, labels_figure
-from datagen.report.replay import Replay, StoredScene
-from datagen.report.room_plots import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
-from datagen.report.style import captioned
-from datagen.report.time_plots import busy_window, clear_channel
+from datagen.report.curves import draw_counts, draw_parts
+from datagen.report.labels import draw_label, labels_page
+from datagen.report.replay import Light, Replay, StoredScene, read_scene, replay
+from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
+from datagen.report.scans import Raster, draw_time_slice, scan_page
+from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
+from datagen.report.style import captioned, house_style, save_png
 from datagen.store.summaries import OVER_M
 
-UNDIVIDED = "all light"
-"""Name of the only layer where light is not split by part."""
+PAGES = ("overview", "histogram", "labels", "scan")
+"""The pictures of a scene, in the order in which they are made."""
+_FIELDS = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
+_SCAN_TEXT = (
+    "Left: time along the row that objects reach most; right: the wall at four moments, each on its own scale with "
+    "the root of the light as brightness, or the places of a scan without a grid"
+)
 
 
-def transient_page(stored: StoredScene, again: Replay) -> Figure:
-    """The transient stacked by part: one channel, and the sum over the scan."""
-    laser, pixel = clear_channel(again.scene, again.transient)
-    text = (
-        "Expected light at the aperture before the detector, split by the part of the room that sent it back to the "
-        "relay wall. Layers lie on top of each other, objects lowest; the upper edge is the total. On the "
-        "logarithmic axis an upper layer looks thinner than it is: read a layer as the difference of its two "
-        f"edges. {_provenance(again)}"
-    )
-    figure, grid = captioned(12, [4.6], text, f"{stored.title}: the transient by part", 2)
-    one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
-    times.draw_stack(one, again.scene, _curves(again, (laser, pixel)), again.capture.time)
-    one.set_title(_channel_name(again, laser, pixel))
-    times.draw_stack(whole, again.scene, _curves(again, None), again.capture.time)
-    whole.set_title(_whole_name(again))
-    # Every part with light anywhere is in the sum over the scan.
-    handles, labels = whole.get_legend_handles_labels()
-    if handles:
-        whole.legend(handles[::-1], labels[::-1], loc="center left", bbox_to_anchor=(1.0, 0.5), title="top to bottom")
-    return figure
+def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
+    """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
+
+    An overview with the room in plan and opened, light by part and counts; counts over their expectation; the labels;
+    and slices of the scan where it has several channels. For geometry and light by part, which a dataset does not
+    hold, the scene is simulated again from the stored configuration and seed; counts and labels are the stored ones.
+    Where a room cannot be drawn (scenes made in Python, imported captures, mesh files that are gone) only stored
+    measurements and labels are drawn.
+
+    out : folder for the pictures; default `DATASET.show` beside the dataset, never inside it.
+
+    Raises
+    ------
+    InputError : no dataset, no such scene, a shard not committed, a scene that failed, a mesh file that has changed,
+        an output that cannot be written.
+    """
+    stored = read_scene(dataset, index)
+    if stored.missing:
+        warn(f"{stored.missing}; only what is stored is drawn", InputWarning, stacklevel=2)
+    root = Path(dataset).resolve()
+    folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
+    with house_style():
+        why = why_roomless(stored.config, stored.missing)
+        made = pages(stored, replay(stored)) if why is None else stored_pages(stored, why)
+        return [save_png(figure, folder / f"scene-{index:06d}-{name}.png") for name, figure in made]
 
 
-def histogram_page(stored: StoredScene, again: Replay) -> Figure:
-    """Counts over their expectation with residuals: one channel, and the sum over the scan."""
-    laser, pixel = clear_channel(again.scene, again.transient)
-    text = _histogram_caption(stored, again)
-    figure, grid = captioned(12, [3.6, 1.8], text, f"{stored.title}: photon counts and their expectation", 2)
-    time = again.counted
-    for column, (title, counts, expected) in enumerate(
-        (
-            (_channel_name(again, laser, pixel), again.counts[laser, pixel], again.expected[laser, pixel]),
-            (_whole_name(again), again.counts.sum(axis=(0, 1), dtype=np.int64), again.expected.sum(axis=(0, 1))),
+def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:
+    """(name, figure) of the pictures in `names`, made one at a time; `scan` only where there are several channels.
+
+    To be used within `house_style()`.
+    """
+    # Depth is drawn in any case.
+    wanted = [name for name in _FIELDS if name in stored.arrays or name == "depth"]
+    missing = [name for name in wanted if name not in stored.arrays]
+    made = make_labels(stored.config.labels, replayed.scene, missing) | dict(stored.arrays)
+    labels = {name: made[name] for name in wanted}
+    makers: dict[str, Callable[[], Figure | None]] = {
+        "overview": lambda: _overview_page(stored, replayed, labels["depth"]),
+        "histogram": lambda: _counts_page(stored, replayed),
+        "labels": lambda: labels_page(stored, replayed.scene, labels, _labels_text(stored, replayed.scene, missing)),
+        "scan": lambda: scan_page(stored.title, replayed.light, f"{_SCAN_TEXT}; {_provenance(replayed)}."),
+    }
+    for name in names:
+        figure = makers[name]()
+        if figure is not None:
+            yield name, figure
+
+
+def stored_pages(stored: StoredScene, why: str) -> Iterator[tuple[str, Figure]]:
+    """(name, figure) of each stored measurement, `histogram` and `transient`, of the scan, and of the stored labels;
+    nothing else is known of a scene that cannot be made again. `why` : the reason, as a whole clause.
+
+    To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
+    """
+    light, scene = light_of_stored(stored), scene_of_stored(stored)
+    labels = {name: stored.arrays[name] for name in _FIELDS if name in stored.arrays}
+    if light is None and (scene is None or not labels):
+        raise InputError(f"{stored.title}: {why}, and neither histogram, transient nor labels are stored")
+    source = f" (file {stored.parameters['capture.file']})" if "capture.file" in stored.parameters else ""
+    for name in (name for name in QUANTITIES if name in stored.arrays):
+        text = f"The stored {name}{source} where it is brightest and in sum, and nothing beyond it: {why}."
+        values = np.asarray(stored.arrays[name], np.float64)
+        unit, time = unit_of(stored, name), time_of_stored(stored, name)
+        assert light is not None
+        yield name, _curves_page(f"{stored.title}: {name}", light, values, None, time, unit, "", text)
+    if light is not None:
+        figure = scan_page(stored.title, light, f"{_SCAN_TEXT}.")
+        if figure is not None:
+            yield "scan", figure
+    if scene is not None and (labels or OBJECT_TABLES[0] in stored.arrays):
+        text = (
+            "Stored ground truth, seen from the plane of the relay wall, right and up as for somebody who faces it."
         )
-    ):
-        upper, lower = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
-        times.draw_counts(upper, counts, expected, time, mean=_mean_name(again))
-        upper.set(title=title, xlabel="")
-        times.draw_residuals(lower, counts, expected, time, is_poisson=again.is_poisson)
-        for axes in (upper, lower):
-            axes.set_xlim(*busy_window(expected if expected.any() else counts, time))
-    return figure
+        yield "labels", labels_page(stored, scene, labels, text)
 
 
-def _where_the_scan_is(scene: Scene, stored: StoredScene) -> str:
-    """A sentence on where the scan lies on the label images, with a space at its end."""
-    view = scene.hidden_view
-    points = stored.arrays.get("laser_points")
-    found = None if view is None or points is None else scan_place(view, points)
-    if found is None:
-        return ""
-    right, up = found
-    if max(abs(right), abs(up)) <= OVER_M:
-        return "Images lie over the scan. "
-    across = f"{abs(right):.2g} m to the {'right' if right > 0 else 'left'}"
-    upward = f"{abs(up):.2g} m {'above' if up > 0 else 'below'}"
-    return f"The middle of the scan is {across} and {upward} of the images' middle. "
-
-
-def labels_page(stored: StoredScene, again: Replay, labels: Mapping[str, NDArray[Any]]) -> Figure:
-    """The page of all labels, two or three in a row."""
+def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -> Figure:
+    """Room with its legend, time along the scan, light by part, counts, depth."""
+    room = RoomPicture(replayed.scene, replayed.capture, replayed.transient.laser_points)
     text = (
-        "Ground truth, seen from the plane of the relay wall through the green window of the room picture, "
-        "orthographically along the wall's normal; up is up, and right is right as seen from the device facing the "
-        f"wall. {_where_the_scan_is(again.scene, stored)}The relay wall itself is taken as a window."
+        f"{_scanned(replayed.capture)}; ceiling and walls in the way are taken off (dashed edges), σ is an object's "
+        f"significance in the data, and {_provenance(replayed)}."
     )
-    if "normal" in labels:
-        text += " Normals: red grows to the right, green upwards, blue towards the wall."
-    if "sdf" in labels:
-        text += " Signed distance: seen from above, the black line is the objects' surface."
-    if "shaded" in labels:
-        text += " Shaded view: lit by the part of the relay wall that the device sees, with shadows."
-    absent = [name for name in labels if name not in stored.arrays]
-    if absent:
-        text += f" Not stored in this dataset, computed for this picture: {', '.join(absent)}."
-    return labels_figure(stored, again.scene, labels, text)
-
-
-def scan_page(stored: StoredScene, again: Replay) -> Figure | None:
-    """Slices of the scan, all light above and that of objects below; for laser points without a grid, time against
-    laser point; None when there is a single channel."""
-    raster = scans.raster_of(again.capture, clear_channel(again.scene, again.transient), again.frame)
-    if raster is None:
-        wall = again.scene.relay_wall
-        if again.capture.shape[0] < 2 or wall is None:
-            return None
-        total, note = again.transient.total, _provenance(again)
-        return scans.listed_page(stored.title, wall, again.capture, total, _objects(again), note, again.frame)
-    whole = scans.scan_of(again.transient.total, raster)
-    objects = scans.scan_of(_objects(again), raster)
-    text = (
-        f"The transient of the scan's {raster.what} ({len(raster.z_m)} rows of {len(raster.x_m)}). Left: along the "
-        "row that objects reach most; a point of the hidden scene draws a curve that is earliest where the wall is "
-        "nearest to it. Right: the whole wall at four moments; wavefronts travel over it (brightness: square root of "
-        "the signal, each on its own scale), right and up as in the labels. Above all light, below only what objects "
-        "scattered. "
-        f"{_provenance(again)}"
-    )
-    figure, grid = captioned(14, [6.0], text, f"{stored.title}: slices of the scan", 2, [1, 2.4])
-    # Subfigures, so that the colour bars of one take no room from the columns of the other.
-    left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
-    row = scans.clear_row(objects if objects.any() else whole)
-    at = scans.moments(objects if objects.any() else whole)
-    time = again.capture.time
-    limits = scans.time_limits(whole, objects, time)
-    for line, (what, scan) in enumerate((("all light", whole), ("objects only", objects))):
-        along = left.add_subplot(2, 1, line + 1)
-        scans.draw_time_slice(left, along, scan, row, raster, time, limits)
-        along.set_title(f"Row {row + 1} from the top, {what}")
-        for number, bins in enumerate(at):
-            axes = right.add_subplot(2, scans.MOMENTS, line * scans.MOMENTS + number + 1)
-            scans.draw_moment(axes, scan, bins, raster, time)
-            axes.set_ylabel("" if number else f"{what}: up (m)")
-    return figure
-
-
-def overview_page(
-    stored: StoredScene, again: Replay, room: RoomPicture, labels: Mapping[str, NDArray[Any]]
-) -> Figure:
-    """The overview: room with its legend, transient by part, counts, depth, scan."""
-    time, channel = again.capture.time, clear_channel(again.scene, again.transient)
-    text = (
-        "Above: the room in plan and opened; ceiling and walls in the way are taken off (dashed edges). "
-        f"{_light_path(again)} The green rectangle is the window that the label images look through, along the "
-        "arrow. Below: the expected light of the whole scan split by part (stacked, logarithmic), photon counts over "
-        f"their {_mean_name(again)} in one channel, and the depth label. {_provenance(again)}"
-    )
-    if room.boxes is not None:
-        text += " Black outlines in the plan: the objects' boxes as stored, a tick at the front of each."
     # The legend has all parts and four marks.
-    legend_in = 0.2 * float(np.ceil((len(again.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
+    legend_in = 0.2 * float(np.ceil((len(replayed.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
     figure, grid = captioned(15, [4.9, legend_in, 4.3], text, f"{stored.title}: overview", 6)
-    raster = scans.raster_of(again.capture, channel, again.frame)
-    plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if raster else grid[0, 2:])
+    raster = Raster.of(replayed.light)
+    several = replayed.light.total.shape[0] * replayed.light.total.shape[1] > 1
+    plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if several else grid[0, 2:])
     draw_plan(plan, room)
     plan.set_title("Plan, from above")
     draw_opened(opened, room)
     opened.set_title("Opened: ceiling and near walls off")
-    if raster is not None:
-        scan, objects = scans.scan_of(again.transient.total, raster), scans.scan_of(_objects(again), raster)
-        row = scans.clear_row(objects if objects.any() else scan)
+    if several:
         corner = figure.add_subfigure(grid[0, 4:])
-        sliced = corner.add_subplot()
-        scans.draw_time_slice(corner, sliced, scan, row, raster, time, scans.time_limits(scan, objects, time))
-        sliced.set_title(f"Scan: time along row {row + 1} from the top")
-    draw_legend(figure, figure.add_subplot(grid[1, :]), room)
-    stack, counted, depth = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
-    times.draw_stack(stack, again.scene, _curves(again, None), time)
-    stack.set_title(f"Transient, {_whole_name(again).lower()}")
-    times.draw_counts(counted, again.counts[channel], again.expected[channel], again.counted, mean=_mean_name(again))
-    counted.set_xlim(*busy_window(again.expected[channel], again.counted))
-    counted.set_title(f"Counts, {_channel_name(again, *channel).lower()}")
-    if "depth" in labels:
-        draw_label(figure, depth, again.scene, "depth", labels["depth"])
-    else:
-        depth.set_axis_off()
+        draw_time_slice(corner, corner.add_subplot(), raster.scan_of(replayed.light.total), raster, replayed.light)
+    found = {
+        name: f", {sigma:.0f} σ" if sigma >= 10 else f", {sigma:.2g} σ"
+        for name, sigma in stored.significance().items()
+    }
+    draw_legend(figure.add_subplot(grid[1, :]), room, found)
+    parts, counted, behind = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
+    light = replayed.transient.parts or {"all light": replayed.transient.total}
+    sums = {name: values.sum(axis=(0, 1)) for name, values in light.items()}
+    draw_parts(parts, replayed.scene, sums, replayed.capture.time)
+    parts.set_title("Light by part, sum over the scan")
+    channel = replayed.light.channel
+    counts, expected = replayed.counts[channel], replayed.expected[channel]
+    draw_counts(counted, counts, expected, replayed.counted, mean=_mean_name(replayed))
+    counted.set_title(f"Counts, {_named(replayed.light)}")
+    draw_label(figure, behind, replayed.scene, "depth", depth)
     # At the left of the column, which leaves space for the colour bar at the right.
-    depth.set_anchor("W")
+    behind.set_anchor("W")
     return figure
 
 
-def _curves(again: Replay, channel: tuple[int, int] | None) -> list[tuple[str, Floats]]:
-    """(part, (bin,) curve) in stacking order, of one channel or summed over all; parts without light left out."""
-    parts = again.transient.parts or {UNDIVIDED: again.transient.total}
-    pick = {name: values.sum(axis=(0, 1)) if channel is None else values[channel] for name, values in parts.items()}
-    curves = [(name, pick[name]) for name in (*times.stacking_order(again.scene), UNDIVIDED) if name in pick]
-    return [(name, curve) for name, curve in curves if parts[name].any()]
-
-
-def _light_path(again: Replay) -> str:
-    """A sentence on the path of the light, and on how laser points and pixels are paired."""
-    lasers, pixels, _ = again.capture.shape
-    if again.capture.illumination == "flood":
-        count = len(again.capture.laser.targets)
-        if "direct" in again.transient.components:
-            return (
-                f"Light goes from the laser as a flood (its {count} quadrature points are shown) to what it meets "
-                f"first, and back into the sensor ({_n(pixels, 'pixel')}), straight and by way of other surfaces."
-            )
-        lit = f"as a flood over the relay wall (its {count} quadrature points are shown)"
-    else:
-        lit = f"to {_n(lasers, 'laser point')} on the relay wall"
-    confocal = again.capture.pairing == "confocal"
-    looks = ", where each has its own pixel (confocal)" if confocal else f" ({_n(pixels, 'pixel')})"
-    return f"Light goes from the laser {lit}, around the corner to the objects, back and into the sensor{looks}."
-
-
-def _objects(again: Replay) -> Floats:
-    """(laser, pixel, bin) light that objects scattered."""
-    total = np.zeros(again.capture.shape)
-    for name in again.scene.objects:
-        if name in again.transient.parts:
-            total = total + again.transient.parts[name]
-    return total
-
-
-def _provenance(again: Replay) -> str:
-    """Sentences on where the curves come from, and whether they agree with the stored ones."""
-    start = "Parts are not stored; they come from simulating this scene again from its stored configuration and seed"
-    if not again.reproduced:
-        far = "" if again.difference is None else f" (its transient differs by {again.difference:.2g}, relative L2)"
-        return f"{start}. CAUTION: that gave another scene{far}; the dataset was made by another version or machine."
-    if again.difference is None:
-        return start + "."
-    return start + f", which reproduces the stored transient (relative difference {again.difference:.0e})."
-
-
-def _histogram_caption(stored: StoredScene, again: Replay) -> str:
-    source = "Stored photon counts" if "histogram" in stored.arrays else "Photon counts, drawn again (none stored),"
-    text = f"{source} over the {_mean_name(again)} of the detector model"
-    if not again.mean_is_exact:
-        text += (
-            " (afterpulses, crosstalk or saturation under a dead time have no exact one in closed form; its error is "
-            "of second order in their probabilities)"
-        )
-    text += ". Below, what is left in units of the square root of the expectation, "
-    if not again.is_poisson:
-        return text + (
-            "which is the spread that Poisson counts would have. These are none: dead time makes counts spread less "
-            "and ties bins to each other, afterpulses and crosstalk make them spread more. Hence no band."
-        )
-    text += (
-        "the Poisson spread; the band is ± 2, which holds about 95 % where counts are high (where few are expected, "
-        "residuals jump between 0 and 1 counts and are lopsided)."
+def _counts_page(stored: StoredScene, replayed: Replay) -> Figure:
+    """Counts over their expectation."""
+    title, mean = f"{stored.title}: photon counts", _mean_name(replayed)
+    text = (
+        f"{'Stored' if 'histogram' in stored.arrays else 'Newly drawn'} photon counts over the {mean} of the "
+        f"detector model, where objects stand out and in sum; {_provenance(replayed)}."
     )
-    found = times.mean_square_residual(again.counts, again.expected)
+    counts, expected, time = replayed.counts, replayed.expected, replayed.counted
+    return _curves_page(title, replayed.light, counts, expected, time, "counts", mean, text)
+
+
+def _labels_text(stored: StoredScene, scene: Scene, missing: Sequence[str]) -> str:
+    """Caption of the labels: how they are seen, where the middle of the scan lies on them, and what is not stored."""
+    text = (
+        "Ground truth behind the window in the plane of the relay wall, seen along its normal, right and up as for "
+        "somebody who faces the wall"
+    )
+    points = stored.arrays.get("laser_points")
+    found = None if scene.hidden_view is None or points is None else scan_place(scene.hidden_view, points)
     if found is not None:
-        text += (
-            f" Over all {found[2]} bins with any expectation, the mean square residual is {found[0]:.3f}; "
-            f"Poisson counts give 1 ± {found[1]:.2g}."
-        )
-    return text
+        right, up = found
+        offsets = (right, "to the right" if right > 0 else "to the left"), (up, "above" if up > 0 else "below")
+        there = " and ".join(f"{abs(offset):.2g} m {side}" for offset, side in offsets if abs(offset) > OVER_M)
+        text += f", with the middle of the scan {there or 'in the middle'}"
+    return text + (f"; computed for this picture: {', '.join(missing)}." if missing else ".")
 
 
-def _mean_name(again: Replay) -> str:
-    return "exact mean" if again.mean_is_exact else "approximate mean"
+def _curves_page(
+    title: str, light: Light, values: NDArray[Any], expected: Floats | None, time: TimeAxis, unit: str, mean: str,
+    text: str,
+) -> Figure:  # fmt: skip
+    """Counts or light over time: the channel where objects stand out, and the sum over the scan."""
+    figure, grid = captioned(12, [3.8], text, title, 2)
+    channel = light.channel
+    one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
+    draw_counts(one, values[channel], None if expected is None else expected[channel], time, unit, mean)
+    one.set_title(_named(light).capitalize())
+    over = None if expected is None else expected.sum(axis=(0, 1))
+    draw_counts(whole, values.sum(axis=(0, 1)), over, time, unit, mean)
+    whole.set_title("Sum over the scan")
+    return figure
+
+
+def _named(light: Light) -> str:
+    """The clear channel in words."""
+    (lasers, pixels, _), (laser, pixel) = light.total.shape, light.channel
+    if light.capture.pairing == "confocal":
+        return f"laser point {laser} of {lasers}"
+    if light.capture.illumination == "flood":
+        return f"pixel {pixel} of {pixels}, flood"
+    return f"laser point {laser} of {lasers}, pixel {pixel} of {pixels}"
+
+
+def _scanned(capture: Capture) -> str:
+    """Laser points and pixels in words."""
+    lasers, pixels, _ = capture.shape
+    if capture.illumination == "flood":
+        return f"Flood light and {_n(pixels, 'pixel')} (dots: the light's quadrature points)"
+    looks = "each with a pixel of its own" if capture.pairing == "confocal" else _n(pixels, "pixel")
+    return f"{_n(lasers, 'laser point')}, {looks}"
 
 
 def _n(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _channel_name(again: Replay, laser: int, pixel: int) -> str:
-    lasers, pixels, _ = again.capture.shape
-    if again.capture.pairing == "confocal":
-        return f"Laser point {laser} of {lasers}, where objects stand out"
-    if again.capture.illumination == "flood":
-        return f"Flood, pixel {pixel} of {pixels}"
-    return f"Laser point {laser} of {lasers}, pixel {pixel} of {pixels}"
+def _provenance(replayed: Replay) -> str:
+    """Where light by part comes from, and whether it agrees with what is stored, as a clause."""
+    if replayed.reproduced:
+        return "light is simulated again from the stored seed"
+    far = "" if replayed.difference is None else f" (its transient differs by {replayed.difference:.2g}, relative L2)"
+    return f"CAUTION: simulating again gave another scene{far}, as another version or machine may"
 
 
-def _whole_name(again: Replay) -> str:
-    lasers, pixels, _ = again.capture.shape
-    if again.capture.illumination == "flood":
-        return f"Sum over {_n(pixels, 'pixel')}"
-    over = _n(lasers, "laser point") if pixels == 1 else f"{_n(lasers, 'laser point')} × {_n(pixels, 'pixel')}"
-    return f"Sum over {over}"
+def _mean_name(replayed: Replay) -> str:
+    return "exact mean" if replayed.mean_is_exact else "approximate mean"

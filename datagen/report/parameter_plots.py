@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from datagen.records import Scalar
@@ -17,7 +14,6 @@ MOST_PARAMETERS = 12
 _MOST_WORDS = 12
 _COLUMNS = 4
 _CELL_IN = (3.2, 1.75)
-_EDGE: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.5}
 
 
 def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar]]:
@@ -40,38 +36,32 @@ def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
     if not shown:
         return None
     rows = -(-len(shown) // _COLUMNS)
-    figure = new_figure(_COLUMNS * _CELL_IN[0], rows * _CELL_IN[1], arranged=False)
-    top = 1 - 0.3 / (rows * _CELL_IN[1])
-    figure.subplots_adjust(0.05, 0.3 / (rows * _CELL_IN[1]), 0.99, top, wspace=0.28, hspace=0.62)
+    tall = rows * _CELL_IN[1]
+    figure = new_figure(_COLUMNS * _CELL_IN[0], tall, arranged=False)
+    figure.subplots_adjust(0.05, 0.3 / tall, 0.99, 1 - 0.3 / tall, wspace=0.28, hspace=0.62)
     for number, (name, values) in enumerate(shown):
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
-        _draw(axes, values)
+        if not _is_number(values):
+            words, counts = np.unique([str(value) for value in values], return_counts=True)
+            axes.barh(words, counts, color=EXPECTED)
+        else:
+            numbers = np.array([float(value) for value in values])
+            numbers = numbers[np.isfinite(numbers)]
+            low, high = (float(numbers.min()), float(numbers.max())) if len(numbers) else (0.0, 1.0)
+            # Numbers over more than two decades, such as significances.
+            wide = low > 0 and high > 300 * low
+            edges = np.geomspace(low, high, 21) if wide else np.linspace(low, high if high > low else low + 1, 21)
+            axes.hist(numbers, edges.tolist(), color=EXPECTED, edgecolor="white", linewidth=0.5)
+            axes.set_xscale("log" if wide else "linear")
+            # Without a common factor at the end of the axis, which the next picture would cover.
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
+            if not wide:
+                axes.locator_params(axis="x", nbins=5)
         axes.set_title(name, fontsize=8, fontweight="normal")
         axes.tick_params(labelsize=7)
         if number % _COLUMNS == 0:
             axes.set_ylabel("scenes", fontsize=7)
     return figure
-
-
-def _draw(axes: Axes, values: Sequence[Scalar]) -> None:
-    if not _is_number(values):
-        counts = Counter(str(value) for value in values)
-        words = sorted(counts)
-        axes.barh(words, [counts[word] for word in words], color=EXPECTED, **_EDGE)
-        return
-    numbers = np.array([float(value) for value in values])
-    numbers = numbers[np.isfinite(numbers)]
-    low, high = (float(numbers.min()), float(numbers.max())) if len(numbers) else (0.0, 1.0)
-    bins = int(np.clip(np.sqrt(len(numbers)) * 1.5, 5, 40))
-    if low > 0 and high / low > 300:
-        axes.set_xscale("log")
-        axes.hist(numbers, bins=np.geomspace(low, high, bins + 1).tolist(), color=EXPECTED, **_EDGE)
-    else:
-        axes.hist(numbers, bins=bins, range=(low, high if high > low else low + 1), color=EXPECTED, **_EDGE)
-        # Without a common factor at the end of the axis, which the next picture would cover.
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
-        axes.locator_params(axis="x", nbins=5)
-    axes.locator_params(axis="y", nbins=4, integer=True)
 
 
 def _is_number(values: Sequence[Scalar]) -> bool:

@@ -10,19 +10,17 @@ from warnings import warn
 
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError, InputWarning
-from datagen.report.evidence_pictures import kinds_report
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
+from datagen.report.pages import pages, stored_pages
 from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import config_of, read_scene, replay
-from datagen.report.roomless import roomless_pages, why_roomless
-from datagen.report.show import pages
+from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.card import ranges
 from datagen.store.info import info
 from datagen.store.record import SceneRecord, ShardRecord, scenes_made
-from datagen.store.summaries import LEAST
 from datagen.store.table import table_of
 
 ROOMS = 24
@@ -75,21 +73,16 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     for record in made[: ROOMS if roomless is None else scenes]:
         stored = read_scene(root, record.index)
         if roomless is not None:
-            for name, picture in roomless_pages(stored):
+            for name, picture in stored_pages(stored, roomless):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
             continue
-        again = replay(stored) if record.index in full else None
-        scene = scene_for(config, record.index) if again is None else again.scene
-        shown.append(scene_data(stored, scene, _error(record), again))
-        if again is not None:
-            for name, picture in pages(stored, again, ["overview", "evidence"]):
+        replayed = replay(stored) if record.index in full else None
+        scene = scene_for(config, record.index) if replayed is None else replayed.scene
+        shown.append(scene_data(stored, scene, _error(record), replayed))
+        if replayed is not None:
+            for name, picture in pages(stored, replayed, ["overview"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
     yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
-    rests = kinds_report([scene.parameters for scene in made])
-    if rests:
-        yield "<h2>What the labels rest on</h2><p>Significance of each object's own light in the data, kind by kind: "
-        yield f"how many objects have how many standard deviations; red: under {LEAST:g}, what no network can learn "
-        yield f"from the data.</p>{rests}"
     yield "<h2>Scenes in full</h2>"
     yield from pictures
     figure = parameter_page(varying([scene.parameters for scene in made]))

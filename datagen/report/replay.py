@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +16,8 @@ from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
-from datagen.detector import Exposure, Spad, choose_sampler, detect, detector_for, expected_histogram
+from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
 from datagen.errors import InputError
-from datagen.evidence.own import significance_in_time
 from datagen.labels import ViewFrame
 from datagen.pipeline import detector_effects
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
@@ -28,8 +29,8 @@ from datagen.store.scenes import Scenes
 
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
-
 SAME_PLACE_M = 1e-6
+"""Distance up to which a laser point counts as where it was stored: its coordinates are computed anew."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,47 @@ class StoredScene:
         """Heading of its pictures: dataset and scene."""
         return f"{self.config.name}, scene {self.index}"
 
+    def significance(self) -> dict[str, float]:
+        """Object → stored significance of its own light in the data; objects without one are left out."""
+        return {
+            name.split(".")[1]: float(value)
+            for name, value in self.parameters.items()
+            if re.fullmatch(r"evidence\.\w+\.significance", name)
+            and isinstance(value, int | float)
+            and value == value
+        }
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light or counts of a scan, for pictures of them.
+
+    total, objects : (laser, pixel, bin) all, and what objects scattered (0 where that is not known).
+    time : the bins. frame : of the label images, in which pictures show places on the wall, too.
+    unit : what a bin has.
+    """
+
+    capture: Capture
+    total: Floats
+    objects: Floats
+    time: TimeAxis
+    frame: ViewFrame | None
+    unit: str
+
+    @property
+    def clear(self) -> Floats:
+        """Light of objects, or all where there is none of them."""
+        return self.objects if self.objects.any() else self.total
+
+    @cached_property
+    def channel(self) -> tuple[int, int]:
+        """(laser, pixel) where objects' light is clearest, by its energy times its share; else the brightest."""
+        clear, total = self.clear.sum(axis=2), self.total.sum(axis=2)
+        # By the share alone, channels with hardly any light would win.
+        best = int(np.argmax(clear * clear / np.maximum(total, np.finfo(np.float64).tiny)))
+        laser, pixel = np.unravel_index(best, total.shape)
+        return int(laser), int(pixel)
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -60,10 +102,8 @@ class Replay:
     counts : (laser, pixel, bin) of the stored histogram, or drawn again where none is stored.
     expected : (laser, pixel, bin) its mean.
     mean_is_exact : whether that mean is exact, or the detector's approximate one.
-    is_poisson : whether all counts are independent Poisson numbers of that mean.
     difference : relative L2 distance of the new transient from the stored one; None where none is stored.
     moved_m : largest distance of a laser point from its stored place, metres.
-    own : object → (bin,) its own light over the noise, √Σ s²/b over the scan; empty where light is not split by part.
     """
 
     scene: Scene
@@ -74,19 +114,21 @@ class Replay:
     difference: float | None
     moved_m: float = 0.0
     mean_is_exact: bool = True
-    is_poisson: bool = True
-    own: Mapping[str, Floats] = field(default_factory=dict)
 
     @property
     def counted(self) -> TimeAxis:
-        """The bins of counts, expectation and `own`: those of the capture, or of the sensor that merges them."""
+        """The bins of counts and expectation: those of the capture, or of the sensor that merges them."""
         time = self.capture.time
         return time.merged(time.bins // self.counts.shape[-1])
 
-    @property
-    def frame(self) -> ViewFrame | None:
-        """The frame of the label images, in which pictures show places on the wall, too."""
-        return None if self.scene.hidden_view is None else ViewFrame.of(self.scene)
+    @cached_property
+    def light(self) -> Light:
+        """All light, and that of the objects."""
+        scene, total = self.scene, self.transient.total
+        of_objects = [self.transient.parts[name] for name in scene.objects if name in self.transient.parts]
+        frame = None if scene.hidden_view is None else ViewFrame.of(scene)
+        objects = np.sum([np.zeros_like(total), *of_objects], axis=0)
+        return Light(self.capture, total, objects, self.capture.time, frame, "photons per emitted photon and bin")
 
     @property
     def reproduced(self) -> bool:
@@ -134,8 +176,6 @@ def replay(stored: StoredScene) -> Replay:
     spad, exposure, tolerance = effects.apply_detector(*given, config.detector.tolerance)
     approximate = config.detector.approximate
     expected, mean_is_exact = _mean(transient.total, capture.time, spad, exposure)
-    plan = choose_sampler(transient.total, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    is_poisson = set(plan.histograms) == {"poisson"} and spad.counter_max is None
     counts = stored.arrays.get("histogram")
     if counts is None:
         seed = derived_seed(config.seed, index, Purpose.DETECTOR)
@@ -143,8 +183,7 @@ def replay(stored: StoredScene) -> Replay:
             transient.total, capture.time, spad, exposure, seed=seed, tolerance=tolerance, approximate=approximate
         )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
-    own = significance_in_time(transient, spad, exposure, scene.objects)
-    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact, is_poisson, own)
+    return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact)
 
 
 def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:

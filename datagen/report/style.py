@@ -87,39 +87,28 @@ def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figu
 
 
 def captioned(
-    width_in: float,
-    heights_in: Sequence[float],
-    text: str,
-    title: str = "",
-    columns: int = 1,
-    widths: Sequence[float] | None = None,
-) -> tuple[Figure, GridSpec]:
+    width_in: float, heights_in: Sequence[float], text: str, title: str = "", columns: int = 1,
+    widths: Sequence[float] | None = None, arranged: bool = True,
+) -> tuple[Figure, GridSpec]:  # fmt: skip
     """A figure with a caption below it, and the grid of its rows and columns.
 
-    The caption has the last row, and is the first of the figure's axes.
+    The caption has the last row, and is the first of the figure's axes. arranged : as for `new_figure`.
     """
-    height = caption_height(width_in, text)
-    figure = new_figure(width_in, sum(heights_in) + height)
-    rows = [*heights_in, height]
+    lines = textwrap.wrap(text, width=int(width_in * 14))
+    rows = [*heights_in, 0.17 * len(lines) + 0.12]
+    height = sum(rows) + (0 if arranged else 0.6)
+    figure = new_figure(width_in, height, arranged)
     grid = figure.add_gridspec(len(rows), columns, height_ratios=rows, width_ratios=widths)
+    if not arranged:
+        figure.subplots_adjust(bottom=0, top=1 - 0.6 / height)
     if title:
-        figure.suptitle(title, fontweight="bold")
-    caption(figure, figure.add_subplot(grid[len(heights_in), :]), text)
-    return figure, grid
-
-
-def caption(figure: Figure, axes: Axes, text: str) -> None:
-    """Fill `axes`, the bottom row of a figure, with a caption wrapped to the figure's width."""
-    axes.set_axis_off()
-    lines = textwrap.wrap(text, width=int(figure.get_figwidth() * 15.5))
-    written = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
+        figure.suptitle(title, fontweight="bold", y=None if arranged else 1 - 0.1 / height)
+    caption = figure.add_subplot(grid[len(heights_in), :])
+    caption.set_axis_off()
+    written = caption.text(0, 1, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
     # Its row is high enough already; in the layout, long lines would take space from the pictures.
     written.set_in_layout(False)
-
-
-def caption_height(width_in: float, text: str) -> float:
-    """Inches that `caption` needs for a text in a figure of this width."""
-    return 0.17 * len(textwrap.wrap(text, width=int(width_in * 15.5))) + 0.12
+    return figure, grid
 
 
 def empty_note(axes: Axes, text: str) -> None:

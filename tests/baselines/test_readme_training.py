@@ -20,7 +20,7 @@ SCRIPT = ROOT / "examples" / "readme_training.py"
 
 @pytest.mark.nightly
 def test_the_example_learns_and_is_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], few_pixels: None
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
     values["capture"]["scan"] |= {"rows": 8, "columns": 8}

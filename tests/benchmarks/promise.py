@@ -51,23 +51,20 @@ from datagen.transport.visibility.raycast import Raycaster
 
 TARGETS = (0.02, 0.05)
 POINTS, HELD = 64, 16
-"""Points simulated of a configuration's scene, and points at which errors are measured. With half of `HELD` the
-measured errors scatter 1.4 times as much."""
+"""Points simulated of a configuration's scene, and points at which errors are measured."""
 WHOLE = "whole"
 RUNS = 8
-"""Independent runs of the truth. Half as many give 6 products instead of 28, too few for their standard error."""
+"""Independent runs of the truth: 28 products of two, enough for a standard error of their mean."""
 FIRST_SAMPLES, GROWTH, MOST_SAMPLES = 1 << 19, 4, 1 << 23
 """Samples of all runs and histograms together: in the first round, their growth from round to round, and in the last
-round, which takes some 12 processor seconds. With a quarter of those, errors four times as large stay undecided."""
+round, which takes some 12 processor seconds."""
 WELL_KNOWN = 0.25
-"""Largest standard error of a squared error, relative to the square of the error asked for, that decides a case.
-Halved, more cases stay undecided."""
+"""Largest standard error of a squared error, relative to the square of the error asked for, that decides a case."""
 SURE = 3.0
-"""Distance from the error asked for, in standard errors, that decides a case, too. Halved, chance would decide one in
-eight of the cases whose error is just the one asked for."""
+"""Distance from the error asked for, in standard errors, that decides a case, too."""
 DARK = 1e-25
-"""Photons per emitted photon below which light is dark, and no case: a watt of green light emits 2e23 in a day. Half
-of it changes nothing; light as faint comes by the far tails of lobes, which samples do not resolve."""
+"""Photons per emitted photon below which light is dark, and no case: a watt of green light emits 2e23 in a day. Light
+as faint comes by the far tails of lobes, which samples do not resolve."""
 MOST_LOOKINS = 1 << 21
 """Rays for each laser point after which a foreign scene may be given up, which the run says: lobes a degree wide
 would otherwise take minutes."""

@@ -99,14 +99,12 @@ def test_a_damaged_dataset_fails_its_check(built: Path, tmp_path: Path, capsys: 
     assert err.startswith("datagen: ") and err.count("\n") == 1
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_preview_is_one_page(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = built / "page.html"
     assert run(["preview", str(built / "out/tiny.zarr"), "--out", str(page), "--scenes", "1"]) == 0
     assert capsys.readouterr().out.strip() == str(page) and "tiny" in page.read_text()
 
 
-@pytest.mark.usefixtures("few_pixels")
 def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "sheet.png"
     assert run(["sheet", str(ROOT / "configs/quickstart.yaml"), str(out), "--rooms", "2"]) == 0

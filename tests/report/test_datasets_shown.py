@@ -16,12 +16,12 @@ from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning
 from datagen.records import Scene
-from datagen.report.contact_sheet import contact_sheet, label_sheet, mark_sight
+from datagen.report.contact_sheet import contact_sheet, label_sheet
+from datagen.report.pages import PAGES, show
 from datagen.report.parameter_plots import varying
 from datagen.report.preview import preview
 from datagen.report.replay import REPRODUCED, read_scene, replay
-from datagen.report.room_plots import RoomPicture, draw_plan
-from datagen.report.show import PAGES, show
+from datagen.report.rooms import RoomPicture, draw_plan, draw_sight
 from datagen.report.style import house_style, new_figure
 from datagen.scene import generate_scene
 from datagen.store.files import sealed
@@ -71,7 +71,6 @@ def test_replay_tells_when_the_scene_is_another(dataset: Path) -> None:
     assert again.moved_m == pytest.approx(1e-3 * 3**0.5)
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_show_writes_beside_the_dataset_and_leaves_it_alone(dataset: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
     written = show(dataset, 1)
@@ -142,7 +141,6 @@ class _Page(HTMLParser):
         self.words += data
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> None:
     _fail(dataset, 3, "the room is <too small>")
     try:
@@ -157,8 +155,8 @@ def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> No
     assert "1 scenes could not be made\n  scene 3: the room is <too small>" in page.words
     assert all(field in page.words for field in ("histogram", "transient", "depth", "laser_points"))
     assert "pillar.albedo" in page.words and "layout.height_m" in page.words
-    # Overview and evidence of the scene, and what was drawn.
-    assert len(page.sources) == 3
+    # Overview of the scene, and what was drawn.
+    assert len(page.sources) == 2
     assert "σ in the median of" in page.words
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
 
@@ -195,7 +193,7 @@ def test_the_plan_shows_what_the_device_sees(config: DatasetConfig) -> None:
     with house_style():
         axes = new_figure(4, 4, arranged=False).add_axes((0.1, 0.1, 0.8, 0.8))
         draw_plan(axes, RoomPicture(scene, pixels=100))
-        mark_sight(axes, scene)
+        draw_sight(axes, scene)
         seen = axes.collections[-1].get_paths()
     wall = 0.99 * scene.relay_wall.center[:2] + 0.01 * scene.device_position[:2]
     assert any(path.contains_point(wall) for path in seen)
@@ -210,7 +208,6 @@ def test_varying_keeps_numbers_and_few_words() -> None:
     assert list(varying(scenes)) == ["a", "kind", "flag"]
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
     """What is stored of it, as of a dataset that was imported."""
     (tmp_path / "panel.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 0 1\nv 0 0 1\nf 1 2 3\nf 1 3 4\n")
@@ -229,7 +226,7 @@ def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:
     (tmp_path / "panel.obj").unlink()
     with pytest.warns(InputWarning, match=r"panel\.obj is missing; put the one of SHA-256 [0-9a-f]{64} there"):
         written = show(tmp_path / "set.zarr", 0)
-    assert [path.name.split("-")[-1] for path in written] == ["histogram.png", "transient.png", "labels.png"]
+    assert [path.stem.split("-")[-1] for path in written] == ["histogram", "transient", "scan", "labels"]
     with pytest.warns(InputWarning, match=r"panel\.obj is missing"):
         page = preview(tmp_path / "set.zarr", scenes=1).read_text()
     assert "mesh files of its objects are gone" in page

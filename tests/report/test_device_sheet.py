@@ -11,7 +11,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.devices import device_names
 from datagen.errors import InputError
-from datagen.report.device_sheet import THINGS, device_sheet, seen_by, sheet_room
+from datagen.report.device_sheet import FRONTS_M, device_sheet, seen_by, sheet_room
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 
@@ -37,7 +37,7 @@ def test_the_brightest_zone_peaks_at_a_thing_of_the_room(name: str) -> None:
     width_m = device.time.bin_width_ps * 1e-12 * SPEED_OF_LIGHT_M_PER_S / 2
     blur_m = 0.5e-12 * float(device.pulse.fwhm_ps or 0) * SPEED_OF_LIGHT_M_PER_S / 2
     found = (peak + 0.5 - device.time.zero_bin) * width_m
-    assert min(abs(found - depth) for depth in THINGS.values()) < width_m + blur_m + 0.05
+    assert min(abs(found - depth) for depth in FRONTS_M.values()) < width_m + blur_m + 0.05
     assert (seen.attenuation > 1) == (device.light.kind == "scan")
 
 

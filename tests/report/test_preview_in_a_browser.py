@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import base64
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+from handmade_rooms import l_corridor
 
-from datagen.report.explorer import explorer
+from datagen.config import config_from_mapping
+from datagen.config.labels import LabelsConfig
+from datagen.labels import VOLUME_FIELDS, make_labels
+from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head
+from datagen.report.labels import LOOKS, LabelImage
+from datagen.report.replay import StoredScene
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 BEFORE = "<script>window.faults = []; window.onerror = message => { window.faults.push(message); };</script>"
@@ -33,7 +41,7 @@ def scene(index: int, label: str, scanned: bool) -> dict[str, object]:
     return {
         "index": index, "layout": "l_corridor", "classes": [label], "error": 0.01 * index, "device": [0.0, 0, 1],
         "parts": [{"name": label, "role": "object", "color": "#E69F00", "corners": corners, "sigma": 0.5 + index}],
-        "labels": [{"name": "depth", "rows": 2, "columns": 2, "bands": 1, "size": [2, 1], "values": "AECA/w=="}],
+        "labels": [{"name": "depth", "rows": 1, "columns": 1, "size": [2, 1], "values": "AECA"}],
         "scan": {**scan, "curves": [curve]} if scanned else None,
     }  # fmt: skip
 
@@ -61,3 +69,30 @@ def test_it_loads_slides_and_filters(tmp_path: Path, width: int) -> None:
 
 def test_data_cannot_end_the_script() -> None:
     assert explorer([scene(0, "</script>", False)]).count("</script>") == 1
+
+
+def test_a_room_s_values_say_what_its_objects_have_and_show_labels_as_the_pictures_do() -> None:
+    """σ beside each object that has one; images as bytes of `LabelImage`."""
+    room = l_corridor()
+    depth = make_labels(LabelsConfig(rows=4, columns=6), room, ["depth"])
+    sigma = {"evidence.box.significance": 98.0, "evidence.pillar.significance": float("nan")}
+    data = scene_data(StoredScene(config_from_mapping({}), 0, depth, sigma), room, None, None)
+    assert {part["name"]: part["sigma"] for part in data["parts"] if "sigma" in part} == {"box": 98.0}
+    (label,) = data["labels"]
+    shown = np.frombuffer(base64.b64decode(label["values"]), np.uint8).reshape(4, 6, 3)
+    assert np.array_equal(shown, LabelImage.of(room, "depth", depth["depth"]).rgb)
+    assert label["name"].startswith("Depth (m), ") and label["size"] == [3.0, 2.5]
+
+
+@pytest.mark.parametrize("field", LOOKS)
+def test_every_label_is_an_image_even_where_it_is_empty(field: str) -> None:
+    """White where there is nothing; a volume as it is seen along its depth."""
+    room, volume = l_corridor(), field in VOLUME_FIELDS
+    shape = (3, 4, 6) if volume else (4, 6, 3) if field == "normal" else (4, 6)
+    empty = np.full(shape, -1) if field == "part_id" else np.zeros(shape)
+    image = LabelImage.of(room, field, empty)
+    assert image.rgb.shape == (4, 6, 3)
+    if field in ("depth", "evidence", "normal", "part_id"):
+        assert (image.rgb == 255).all()
+    (low, high) = image.low, image.high
+    assert (low < high).all() and (volume or np.array_equal(low, -high))

@@ -17,10 +17,10 @@ from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.formats import export
 from datagen.report.contact_sheet import contact_sheet
+from datagen.report.pages import show, stored_pages
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene
-from datagen.report.roomless import roomless_pages
-from datagen.report.show import show
+from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import read_manifest
 
@@ -66,32 +66,33 @@ def texts(path: Path, index: int = 0) -> dict[str, str]:
     """Picture → all that is written in it."""
     from matplotlib.text import Text
 
+    stored = read_scene(path, index)
+    why = why_roomless(stored.config, stored.meshes)
+    assert why is not None
     with house_style():
         return {
-            name: " ".join(text.get_text() for text in figure.findobj(Text))
-            for name, figure in roomless_pages(read_scene(path, index))
+            name: " ".join(text.get_text().replace("\n", " ") for text in figure.findobj(Text))
+            for name, figure in stored_pages(stored, why)
         }
 
 
-@pytest.mark.usefixtures("without_ticks")
 def test_scenes_made_in_python(given: Path, tmp_path: Path) -> None:
     pictures = show(given, 1, tmp_path / "show")
     assert [path.stem for path in pictures] == [
-        f"scene-000001-{name}" for name in ("histogram", "transient", "labels")
+        f"scene-000001-{name}" for name in ("histogram", "transient", "scan", "labels")
     ]
     written = texts(given, 1)
     assert "made in Python" in written["transient"] and "photons per emitted photon" in written["transient"]
-    assert "counts per bin" in written["histogram"] and "4 moments" in written["histogram"]
-    assert all(word in written["labels"] for word in ("box_1", "Depth (m)", "Occupancy", "Objects"))
+    assert "counts per bin" in written["histogram"] and "four moments" in written["scan"]
+    assert all(word in written["labels"] for word in ("box_1", "Depth (m)", "Occupied share", "Objects"))
     page = preview(given, tmp_path / "page.html", scenes=1).read_text()
     assert "There are no rooms to show: these scenes were made in Python" in page
     pictured = re.findall(r'alt="([^"]+)"', page)
     assert [of for of in pictured if of.startswith("scene")] == [
-        "scene 0, histogram", "scene 0, transient", "scene 0, labels",
+        "scene 0, histogram", "scene 0, transient", "scene 0, scan", "scene 0, labels",
     ]  # fmt: skip
 
 
-@pytest.mark.usefixtures("without_ticks")
 @pytest.mark.parametrize("kind", ["grid", "lists", "one", "single", "dark"])
 def test_imported_captures(kind: str, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
@@ -104,12 +105,14 @@ def test_imported_captures(kind: str, tmp_path: Path) -> None:
         "single": lists | {"laser_points": np.repeat(points[:1], 7, axis=0)},
         "dark": {"rect_data": np.zeros((3, 4, 20)), "width": 1.0},
     }[kind])  # fmt: skip
-    (picture,) = show(path, 0, tmp_path / "show")
-    assert picture.stem == f"scene-000000-{'histogram' if kind in ('grid', 'dark') else 'transient'}"
-    (written,) = texts(path).values()
-    assert "imported, and have no room to draw. File: c.mat" in written
-    assert ("signal per bin" in written) == (kind in ("lists", "one", "single"))
-    assert ("number of the pixel" in written) == (kind == "single")
+    pictures = show(path, 0, tmp_path / "show")
+    measured = "histogram" if kind in ("grid", "dark") else "transient"
+    several = [] if kind == "one" else ["scan"]
+    assert [of.stem for of in pictures] == [f"scene-000000-{name}" for name in (measured, *several)]
+    written = texts(path)
+    assert "(file c.mat)" in written[measured] and "imported, and have no room to draw" in written[measured]
+    assert ("signal per bin" in written[measured]) == (measured == "transient")
+    assert ("number of the pixel" in written.get("scan", "")) == (kind == "single")
     if kind == "grid":
         page = preview(path, tmp_path / "page.html").read_text()
         assert "have no room to draw" in page and 'alt="scene 0, histogram"' in page

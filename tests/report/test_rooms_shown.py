@@ -8,25 +8,24 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.colors import to_rgb
 
 from datagen.records import Lambertian, Part, Scene
-from datagen.report.cutaway import Camera, cut_open, shaded
-from datagen.report.room_plots import best_view
+from datagen.report.rooms import Camera, View, best_view, cut_open
 from datagen.report.style import part_colors
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_ceiling_goes_and_floor_objects_and_relay_wall_stay(side: int) -> None:
     scene = l_corridor(side)
-    _, cut = best_view(scene)
-    kept = {scene.part_names[k] for k in np.unique(scene.face_part[cut.faces])}
+    _, faces, outlines = best_view(scene)
+    kept = {scene.part_names[k] for k in np.unique(scene.face_part[faces])}
     assert {"floor", "pillar", "box", "relay_wall"} <= kept
     assert "ceiling" in scene.part_names and "ceiling" not in kept
-    assert len(cut.outlines) > 0
+    assert len(outlines) > 0
 
 
 def test_walls_between_viewer_and_room_go_and_those_behind_stay() -> None:
     scene = l_corridor()
-    cut = cut_open(scene, Camera.looking(150.0, 42.0))
-    kept = {scene.part_names[k] for k in np.unique(scene.face_part[cut.faces])}
+    faces, _ = cut_open(scene, Camera.looking(150.0, 42.0))
+    kept = {scene.part_names[k] for k in np.unique(scene.face_part[faces])}
     # From −x and +y: the wall at y = −1 and the one that goes on from the relay wall are behind everything.
     assert {"wall_5", "wall_0"} <= kept
     assert not {"wall_1", "wall_2", "wall_3", "wall_4"} & kept
@@ -36,7 +35,9 @@ def test_picture_shows_the_nearest_part_where_it_is() -> None:
     below = Part("below", box_mesh((4, 4, 0.1), (0, 0, 0)), Lambertian(0.5))
     above = Part("above", box_mesh((1, 1, 0.1), (1, 1, 1)), Lambertian(0.5))
     scene = Scene.from_parts([below, above])
-    picture, (left, right, bottom, top) = shaded(scene, Camera.from_above(), np.arange(24), part_colors(scene), 500)
+    camera = Camera.from_above()
+    view = View.of(scene, camera, np.arange(24), 500)
+    picture, (left, right, bottom, top) = view.shaded(scene, camera, part_colors(scene)), view.extent
     rows, columns = picture.shape[:2]
 
     def at(x: float, y: float) -> np.ndarray:
@@ -48,3 +49,5 @@ def test_picture_shows_the_nearest_part_where_it_is() -> None:
         assert at(*place)[3] == 1
         assert np.ptp(ratio[hue[name] > 0]) < 1e-6 and 0.7 < ratio[hue[name] > 0][0] <= 1
     assert picture[0, 0, 3] == 0
+    heights = {-0.05: view.depth[np.isfinite(view.depth)].max(), -1.05: view.depth.min()}
+    assert all(depth == pytest.approx(height, abs=1e-5) for height, depth in heights.items())
