@@ -31,7 +31,7 @@ from torch import nn
 
 import datagen as dg
 from datagen.config.imported import ImportOptions
-from datagen.formats.matlab_reader import read_mat
+from datagen.formats.matlab import read_mat
 from datagen.reconstruction.backprojection import Scan, backprojected, whitened
 from datagen.report.style import captioned, house_style, save_png
 from datagen.transport.visibility.raycast import Raycaster

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,18 +15,21 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError, TooLargeError, printable
 from datagen.formats.matlab5 import read_matlab5
-from datagen.formats.plain import h5py
 from datagen.records.arrays import Floats
-from datagen.untrusted import one_line
+from datagen.untrusted import DEFLATE_REACHES, one_line
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
-MOST_COMPRESSED = 1100
-"""Largest ratio of decoded bytes to stored ones: deflate reaches 1032. A variable that declares more is not in the
-file; with half as much, arrays of zeros would be refused."""
 LONGEST_TEXT = 2**20
 FACING = np.array([0.0, 0.0, 1.0])
 """Normal of a relay wall in the plane of x and y."""
+
+
+def h5py() -> Any:
+    """The package h5py, which belongs to the extra `export`; raises `InputError` if it is not installed."""
+    if importlib.util.find_spec("h5py") is None:
+        raise InputError("this format is HDF5, and h5py is not installed; pip install nlos-datagen[export]")
+    return importlib.import_module("h5py")
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,7 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
     if size > LARGEST_BYTES:
         raise InputError(f"{path}: {name}: shape {data.shape}, {size} bytes; at most {LARGEST_BYTES} are read")
     stored_bytes = data.id.get_storage_size()
-    if size > 0 and MOST_COMPRESSED * stored_bytes < size:
+    if size > 0 and DEFLATE_REACHES * stored_bytes < size:
         raise InputError(
             f"{path}: {name}: {size} bytes declared ({data.shape}) and {stored_bytes} there; write the file anew"
         )

@@ -25,9 +25,9 @@ from datagen.formats.frames import (
     sample_of_frame,
     scene_of_files,
 )
-from datagen.formats.matlab_reader import read_mat
+from datagen.formats.matlab import read_mat
 from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
-from datagen.formats.tal_reader import read_tal
+from datagen.formats.tal import read_tal
 from datagen.records import Sample, Scalar
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of

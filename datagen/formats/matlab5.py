@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
+from datagen.untrusted import DEFLATE_REACHES
 
 _HEAD = 4096
 """First bytes of a variable, which must contain its name and sizes. Half as many would do for usual names."""
@@ -117,12 +118,12 @@ def _variable(head: bytes) -> Variable:
 
 def _check(path: Path, found: Variable, largest: int, stored_bytes: int) -> None:
     """Refuse a variable that is no array of real numbers, or has more numbers than `largest`, or than `stored_bytes`
-    can hold: deflate packs at most a thousand bytes into one."""
+    can hold."""
     count = math.prod(found.shape)
     if found.kind not in _NUMBERS or found.is_complex:
         kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")
         raise InputError(f"{path}: {found.name}: is a {kind}, an array of real numbers is needed")
-    if count > largest or count > 1100 * stored_bytes:
+    if count > largest or count > DEFLATE_REACHES * stored_bytes:
         raise InputError(f"{path}: {found.name}: shape {found.shape} declared, more than the file can hold")
 
 

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from datagen.errors import InputError
+from datagen.formats.containers import h5py
 from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent
-
-
-def h5py() -> Any:
-    """The package h5py, which belongs to the extra `export`; raises `InputError` if it is not installed."""
-    if importlib.util.find_spec("h5py") is None:
-        raise InputError("this format is HDF5, and h5py is not installed; pip install nlos-datagen[export]")
-    return importlib.import_module("h5py")
 
 
 def write_npz(scene: SceneContent, path: Path) -> None:

@@ -30,6 +30,7 @@ SAME = 1e-6
 written with six digits may be refused."""
 _SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_FLAGS = {"wall_m": "wall", "axes": "axes", "delays": "tof"}
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 
 
@@ -170,6 +171,13 @@ def time_bins(
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix('TimeConfig: ')}") from None
+
+
+def refuse_options(options: ImportOptions, why: str) -> None:
+    """Raise `InputError` for an option that states what the file states itself, as `why` says."""
+    for name, flag in _FLAGS.items():
+        if getattr(options, name) is not None:
+            raise InputError(f"--{flag}: {why}; leave the option out")
 
 
 def seconds_of(text: str) -> float:

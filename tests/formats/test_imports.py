@@ -19,9 +19,9 @@ from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.formats import export
 from datagen.formats.containers import matlab_content
-from datagen.formats.matlab_reader import read_mat
+from datagen.formats.matlab import read_mat
 from datagen.formats.measurement import Measurement, measurement
-from datagen.formats.tal_reader import read_tal
+from datagen.formats.tal import read_tal
 from datagen.store import read_manifest, verify
 from datagen.store.info import info
 from datagen.store.scenes import SceneContent, Scenes
