@@ -15,7 +15,7 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly cpu-types hard-cases bench bench-scaling \
+.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly hard-cases bench bench-scaling \
 	bench-detector bench-loaders bench-forecasts bench-evidence bench-foreign bench-targets peers wheel clean
 
 help:
@@ -26,7 +26,7 @@ help:
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fresh   drop compiled kernels, after an edit of one that others call (make test does it, too)"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
-	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
+	@echo "make nightly the long statistical runs (hours)"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
 	@echo "             -forecasts, -evidence, -foreign, -targets;  make peers   compare with mitransient (needs LLVM 16 or newer)"
@@ -95,11 +95,7 @@ nightly: setup
 	$(BIN)/python -m pytest -n $(JOBS) -m nightly
 	$(MAKE) fuzz
 	$(BIN)/python tests/store/harm_table.py
-	$(BIN)/python tests/cpu_types.py -n $(JOBS) tests/capture/test_configs_built.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
-
-cpu-types: setup
-	$(BIN)/python tests/cpu_types.py
 
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.rounding import Floats, product
+from scene_library.arrays import Floats
 from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -84,7 +84,7 @@ def _unit(path: Path, options: MeshOptions) -> Solid:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = product(vertices, _upright(options.up, options.front or FRONTS[options.up]).T)
+    vertices = vertices @ _upright(options.up, options.front or FRONTS[options.up]).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
         across = ", ".join(axis for axis in "xyz" if axis != options.up[-1])
@@ -200,7 +200,7 @@ def _pieces(loaded: Any) -> Any:
             faces = _strips(geometry)
         if faces is not None and len(faces):
             vertices = np.asarray(geometry.vertices, np.float64)
-            yield product(vertices, transform[:3, :3].T) + transform[:3, 3], np.asarray(faces, np.int64)
+            yield vertices @ transform[:3, :3].T + transform[:3, 3], np.asarray(faces, np.int64)
 
 
 def _strips(geometry: Any) -> NDArray[np.int64] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scene_library.rounding import Floats
+from scene_library.arrays import Floats
 
 
 @njit(cache=True)
