@@ -26,7 +26,7 @@ help:
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
-	@echo "make nightly the long statistical runs (hours);  make cpu-types  the tests as on older processors"
+	@echo "make nightly the long statistical runs (hours)"
 	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
 	@echo "             -evidence, -foreign, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
@@ -90,11 +90,7 @@ nightly: setup
 	$(BIN)/python -m pytest -n $(JOBS) -m nightly
 	$(MAKE) fuzz
 	$(BIN)/python tests/store/harm_table.py
-	$(BIN)/python tests/cpu_types.py -n $(JOBS) tests/capture/test_configs_built.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
-
-cpu-types: setup
-	$(BIN)/python tests/cpu_types.py
 
 hard-cases: setup
 	$(BIN)/python tests/stability/hard_case_table.py

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.rooms import Doorway, FloorPlan, RoomDoesNotClose
-from scene_library.rounding import Floats
 
 MINIMUM_APPROACH_M = 0.1
 """At least this much corridor lies between the device and the corner that hides the rest."""

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scene_library.arrays import Floats
 from scene_library.polygon_files import BENT, NotSimple, read_obj, read_ply
-from scene_library.rounding import Floats, product
 from scene_library.solids import Solid
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
@@ -110,7 +110,7 @@ def _unit(path: Path, options: MeshOptions) -> tuple[Solid, str]:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = product(vertices, _upright(options.up, options.front or FRONTS[options.up]).T)
+    vertices = vertices @ _upright(options.up, options.front or FRONTS[options.up]).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
         across = ", ".join(axis for axis in "xyz" if axis != options.up[-1])
@@ -190,9 +190,7 @@ def _of_triangles(path: Path) -> MeshFile:
         transform, name = loaded.graph[node]
         geometry = loaded.geometry[name]
         if len(getattr(geometry, "faces", ())):
-            vertices.append(
-                product(np.asarray(geometry.vertices, np.float64), transform[:3, :3].T) + transform[:3, 3]
-            )
+            vertices.append(np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3])
             triangles.append(np.asarray(geometry.faces, np.int64) + offset)
             offset += len(vertices[-1])
     return MeshFile(np.concatenate(vertices), np.concatenate(triangles), "")

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.polygons import Polygon, boundary_distance, contains
-from scene_library.rounding import Floats, arctan2
 from scene_library.separation import gap_between
 from scene_library.visibility import is_hidden
 
@@ -110,4 +110,4 @@ class WallSpots:
         foot = self.starts[k] + t * (self.ends[k] - self.starts[k])
         x, y = foot + self.inward[k] * (float(hull[:, 1].max()) + gap_m)
         back = -self.inward[k]
-        return float(x), float(y), float(np.degrees(arctan2(back[1], back[0])) - 90.0) % 360.0
+        return float(x), float(y), float(np.degrees(np.arctan2(back[1], back[0])) - 90.0) % 360.0

@@ -10,8 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.polygons import Polygon, cross, segments_of
-from scene_library.rounding import Floats
 from scene_library.solids import Surface
 
 _SAME = 1e-9

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scene_library.rounding import Floats, cos, length, product, sin
+from scene_library.arrays import Floats
 
 Polygon = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def signed_area(polygon: Polygon) -> float:
 
 def rotation(angle_rad: float) -> Floats:
     """(2, 2) matrix that rotates column vectors counter-clockwise."""
-    c, s = float(cos(angle_rad)), float(sin(angle_rad))
+    c, s = float(np.cos(angle_rad)), float(np.sin(angle_rad))
     return np.array([[c, -s], [s, c]])
 
 
@@ -54,18 +54,18 @@ _HAIR = 1e-6
 def _strip_about(p: Polygon) -> Polygon | None:
     """The rectangle about points that lie on one line, as the plan of an upright sheet does; None: they do not."""
     far = p[np.argmax(((p - p[0]) ** 2).sum(axis=1))] - p[0]
-    long = float(length(far))
+    long = float(np.linalg.norm(far))
     if long == 0:
         return None
     along = far / long
     axes = np.stack([along, [-along[1], along[0]]])
-    places = product(p - p[0], axes.T)
+    places = (p - p[0]) @ axes.T
     low, high = places.min(axis=0), places.max(axis=0)
     if high[1] - low[1] > _HAIR * long:
         return None
     hair = np.array([0.0, 0.5 * _HAIR * long])
     (t0, s0), (t1, s1) = low - hair, high + hair
-    return np.asarray(product(np.array([[t0, s0], [t1, s0], [t1, s1], [t0, s1]]), axes) + p[0])
+    return np.asarray(np.array([[t0, s0], [t1, s0], [t1, s1], [t0, s1]]) @ axes + p[0])
 
 
 def _is_convex(p: Polygon) -> bool:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.rounding import Floats, cos, length
+from scene_library.arrays import Floats
 from scene_library.solids import Surface
 
 Lines = NDArray[np.float64]
@@ -64,7 +64,7 @@ def corrugated(
     """A sine of `period_m`, its ridges upright or level."""
 
     def shape(u: Floats, v: Floats) -> Floats:
-        return 0.5 - 0.5 * cos(2 * np.pi * (u if upright else v) / period_m + phase_rad)
+        return 0.5 - 0.5 * np.cos(2 * np.pi * (u if upright else v) / period_m + phase_rad)
 
     lines = _even(width_m if upright else height_m, period_m / _CELLS_PER_PERIOD)
     _check_budget(_triangles(len(lines), 0), max_triangles, f"ridges {period_m:.3g} m apart")
@@ -84,7 +84,7 @@ def bumpy(
     def shape(u: Floats, v: Floats) -> Floats:
         total = np.zeros(np.broadcast(u, v).shape)
         for (ku, kv), p in zip(wave, phase, strict=True):
-            total += cos(ku * u + kv * v + p)
+            total += np.cos(ku * u + kv * v + p)
         return np.asarray(ndtr(total * np.sqrt(2 / _WAVES)))
 
     for cells in np.linspace(_CELLS_PER_BUMP, _COARSEST_PER_BUMP, 9):
@@ -112,7 +112,7 @@ def stepped(width_m: float, height_m: float, side_m: float, max_triangles: int, 
 
 def uneven_wall(start: Lines, end: Lines, height_m: float, relief: Relief, relief_m: float) -> Surface:
     """The wall over the plan segment `start` → `end` (2,), room to the left, with `relief` up to `relief_m` deep."""
-    width_m = float(length(end - start))
+    width_m = float(np.linalg.norm(end - start))
     rim = RIM_SHARE * min(width_m, height_m)
     fade = min(max(2 * relief_m, rim), 0.25 * min(width_m, height_m))
     across = _framed(relief.across, width_m, rim, fade)

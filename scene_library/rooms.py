@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.polygons import (
     Polygon,
     contains,
@@ -20,7 +21,6 @@ from scene_library.polygons import (
     segments_of,
     triangulate,
 )
-from scene_library.rounding import Floats, cos, length, sin
 from scene_library.solids import Surface, joined
 
 
@@ -153,12 +153,12 @@ def out_of_square(plan: FloorPlan, angles_rad: Floats) -> FloorPlan:
     edges, groups = plan.edges, np.array(wall_groups(plan))
     middle = np.array([edges[groups == g].reshape(-1, 2).mean(axis=0) for g in groups])
     angles = np.where(groups == groups[plan.relay_edge], 0.0, np.asarray(angles_rad)[groups])
-    c, s = cos(angles), sin(angles)
+    c, s = np.cos(angles), np.sin(angles)
     along = edges[:, 1] - edges[:, 0]
     along = np.stack([c * along[:, 0] - s * along[:, 1], s * along[:, 0] + c * along[:, 1]], axis=1)
     before, before_along = np.roll(middle, 1, axis=0), np.roll(along, 1, axis=0)
     bend = cross(before_along, along)
-    if (np.abs(bend) < 0.1 * length(along) * length(before_along)).any():
+    if (np.abs(bend) < 0.1 * np.linalg.norm(along, axis=-1) * np.linalg.norm(before_along, axis=-1)).any():
         raise RoomDoesNotClose("two neighbouring walls come out nearly parallel; lower out_of_square_deg")
     outline = before + (cross(middle - before, along) / bend)[:, None] * before_along
     # The relay wall stays in its plane to the last bit.
@@ -232,7 +232,7 @@ def _slab(polygon: Polygon, z: float) -> Surface:
 
 def _wall(outline: Polygon, i: int, j: int, levels: dict[int, list[float]], bottom: float, top: float) -> Surface:
     """The wall over the edge i → j, with a corner wherever a neighbour has one."""
-    long = float(length(outline[j] - outline[i]))
+    long = float(np.linalg.norm(outline[j] - outline[i]))
     right = [(long, z) for z in levels[j] if bottom <= z <= top]
     left = [(0.0, z) for z in reversed(levels[i]) if bottom <= z <= top]
     flat = np.array(right + left)

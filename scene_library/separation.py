@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from datagen.compiled import compiled
-from scene_library.rounding import Floats
+from scene_library.arrays import Floats
 
 
 @compiled()

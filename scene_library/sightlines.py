@@ -10,7 +10,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from scene_library.rounding import Floats
+from scene_library.arrays import Floats
 
 _POINTS = 64
 _GOLDEN = (0.754877666246693, 0.569840290998053)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from scene_library.arrays import Floats
 from scene_library.polygons import Polygon, convex_hull, rotation, triangulate
-from scene_library.rounding import Floats, cos, length, product, sin
 
 Surface = tuple[Floats, NDArray[np.int64]]
 """Vertices (V, 3) in metres and triangles (F, 3)."""
@@ -63,7 +63,7 @@ class Solid:
 
 
 def _turned(plan: Polygon, x: float, y: float, rotation_deg: float) -> Polygon:
-    turned = product(plan, rotation(np.radians(rotation_deg)).T)
+    turned = plan @ rotation(np.radians(rotation_deg)).T
     turned += [x, y]
     return turned
 
@@ -82,13 +82,13 @@ def moved(surface: Surface, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> S
 
 def rotated(surface: Surface, axis: str, angle_deg: float) -> Surface:
     """The surface rotated counter-clockwise about an axis through the origin."""
-    c, s = float(cos(np.radians(angle_deg))), float(sin(np.radians(angle_deg)))
+    c, s = float(np.cos(np.radians(angle_deg))), float(np.sin(np.radians(angle_deg)))
     matrix = {
         "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
         "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
         "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
     }[axis]
-    return product(surface[0], np.array(matrix).T), surface[1]
+    return surface[0] @ np.array(matrix).T, surface[1]
 
 
 def extruded(base: Polygon, height_m: float) -> Surface:
@@ -115,7 +115,7 @@ def rectangle(width_m: float, depth_m: float) -> Polygon:
 def regular_polygon(diameter_m: float, sides: int) -> Polygon:
     """Corners on a circle of `diameter_m`."""
     angle = 2 * np.pi * np.arange(sides) / sides
-    return 0.5 * diameter_m * np.stack([cos(angle), sin(angle)], axis=1)
+    return 0.5 * diameter_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def block(width_m: float, depth_m: float, height_m: float, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Surface:
@@ -138,7 +138,7 @@ def lathed(profile: ArrayLike, sides: int = 20) -> Surface:
     p = np.asarray(profile, np.float64)
     inner = p[1:-1]
     angle = 2 * np.pi * np.arange(sides) / sides
-    ring = np.stack([cos(angle), sin(angle)], axis=1)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     middle = np.concatenate([np.column_stack([r * ring, np.full(sides, z)]) for r, z in inner])
     vertices = np.concatenate([[[0.0, 0.0, p[0, 1]]], middle, [[0.0, 0.0, p[-1, 1]]]])
     i, j = np.arange(sides), (np.arange(sides) + 1) % sides
@@ -155,7 +155,7 @@ def lathed(profile: ArrayLike, sides: int = 20) -> Surface:
 def ellipsoid(radii: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0), sides: int = 20) -> Surface:
     """An ellipsoid with semi-axes `radii` (3,)."""
     latitude = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
-    profile = np.stack([cos(latitude), sin(latitude)], axis=1)
+    profile = np.stack([np.cos(latitude), np.sin(latitude)], axis=1)
     profile[[0, -1], 0] = 0.0
     vertices, faces = lathed(profile, sides)
     return vertices * np.asarray(radii, np.float64) + np.asarray(center, np.float64), faces
@@ -164,12 +164,12 @@ def ellipsoid(radii: ArrayLike, center: ArrayLike = (0.0, 0.0, 0.0), sides: int 
 def limb(start: ArrayLike, end: ArrayLike, start_radius_m: float, end_radius_m: float, sides: int = 10) -> Surface:
     """A frustum between two points, for arms and legs, bars and branches."""
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    long = float(length(b - a))
+    long = float(np.linalg.norm(b - a))
     vertices, faces = lathed([(0, 0), (start_radius_m, 0), (end_radius_m, long), (0, long)], sides)
     w = (b - a) / long
     u = np.cross(w, [0.0, 1.0, 0.0] if abs(w[1]) < 0.9 else [1.0, 0.0, 0.0])
-    u /= length(u)
-    return product(vertices, np.stack([u, np.cross(w, u), w])) + a, faces
+    u /= np.linalg.norm(u)
+    return vertices @ np.stack([u, np.cross(w, u), w]) + a, faces
 
 
 def torus(ring_radius_m: float, tube_radius_m: float, sides: int = 24, tube_sides: int = 10) -> Surface:
@@ -177,8 +177,8 @@ def torus(ring_radius_m: float, tube_radius_m: float, sides: int = 24, tube_side
     a, b = np.meshgrid(
         2 * np.pi * np.arange(sides) / sides, 2 * np.pi * np.arange(tube_sides) / tube_sides, indexing="ij"
     )
-    radius = ring_radius_m + tube_radius_m * cos(b)
-    vertices = np.stack([radius * cos(a), radius * sin(a), tube_radius_m * sin(b)], axis=-1).reshape(-1, 3)
+    radius = ring_radius_m + tube_radius_m * np.cos(b)
+    vertices = np.stack([radius * np.cos(a), radius * np.sin(a), tube_radius_m * np.sin(b)], axis=-1).reshape(-1, 3)
     i, j = np.meshgrid(np.arange(sides), np.arange(tube_sides), indexing="ij")
     p, q = i * tube_sides + j, (i + 1) % sides * tube_sides + j
     r, t = (i + 1) % sides * tube_sides + (j + 1) % tube_sides, i * tube_sides + (j + 1) % tube_sides

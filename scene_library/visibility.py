@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.polygons import Polygon, cross
-from scene_library.rounding import Floats, arctan2, cos, length, product, sin
 from scene_library.separation import stays_clear
 
 _NUDGE_RAD = 1e-7
@@ -22,9 +22,9 @@ def visible_fan(walls: Floats, eye: Floats) -> Floats:
     The walls must surround the eye; they may be the edges of a plan and screens that stand free in it.
     """
     toward = walls.reshape(-1, 2) - eye
-    angles = arctan2(toward[:, 1], toward[:, 0])
+    angles = np.arctan2(toward[:, 1], toward[:, 0])
     angles = np.unique(np.concatenate([angles - _NUDGE_RAD, angles, angles + _NUDGE_RAD]))
-    directions = np.stack([cos(angles), sin(angles)], axis=1)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     ends = eye + directions * first_hit(walls, eye, directions)[:, None]
     nexts = np.roll(ends, -1, axis=0)
     width = np.roll(angles, -1) - angles
@@ -53,10 +53,10 @@ def is_hidden(footprint: Polygon, fan: Floats, margin_m: float) -> bool:
 def visible_interval(fan: Floats, start: Floats, end: Floats) -> tuple[float, float] | None:
     """The longest stretch of the wall `start` → `end` (each (2,)) that is seen, as metres from `start`; or None."""
     along = end - start
-    long = float(length(along))
+    long = float(np.linalg.norm(along))
     unit = along / long
     offset = np.abs(cross(unit, fan[:, 1:] - start))
-    position = np.sort(product(fan[:, 1:] - start, unit), axis=1)
+    position = np.sort((fan[:, 1:] - start) @ unit, axis=1)
     pieces = sorted(
         (max(0.0, float(low)), min(long, float(high)))
         for (low, high), off in zip(position, offset.max(axis=1), strict=True)

@@ -275,7 +275,7 @@ def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
         for difference in mixed([record.made_by, made_with()]):
             raise InputError(
                 f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
-                "promised for one architecture and one set of versions (constraints.txt): use those, "
+                "promised for the same versions (constraints.txt) on the same kind of processor: use those, "
                 "name another folder, or accept it with --accept-mixed"
             )
 

@@ -13,7 +13,6 @@ from datagen.config.distributions import draw
 from datagen.errors import InputError
 from datagen.records import Capture, Rectangle, Scene
 from datagen.records.arrays import Floats
-from scene_library.rounding import cos, length, sin
 from scene_library.sightlines import first_faces
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -55,11 +54,14 @@ def _before_an_object(straight: AtObjects, scene: Scene, rng: np.random.Generato
         distance, height = draw(straight.distance_m, rng), draw(straight.height_m, rng)
         bearing, aside = 2 * np.pi * rng.random(), np.radians(draw(straight.aside_deg, rng))
         rise = float(np.clip(height - middle[2], -STEEPEST * distance, STEEPEST * distance))
-        away = np.array([cos(bearing), sin(bearing), 0.0]) * np.sqrt(distance**2 - rise**2)
+        away = np.array([np.cos(bearing), np.sin(bearing), 0.0]) * np.sqrt(distance**2 - rise**2)
         place = middle + away + rise * UP
         if _sees(scene, corners, place, middle, name):
             ahead = middle - place
-            turned = [cos(aside) * ahead[0] - sin(aside) * ahead[1], sin(aside) * ahead[0] + cos(aside) * ahead[1]]
+            turned = [
+                np.cos(aside) * ahead[0] - np.sin(aside) * ahead[1],
+                np.sin(aside) * ahead[0] + np.cos(aside) * ahead[1],
+            ]
             return place, place + np.array([*turned, ahead[2]])
     raise InputError(
         f"capture.at_objects: none of {TRIES} places sees an object of this scene; allow other distances and "
@@ -73,7 +75,7 @@ def _sees(scene: Scene, corners: Floats, place: Floats, middle: Floats, name: st
     if face >= 0 and scene.part_names[scene.face_part[face]] != name:
         return False
     around = place + ELBOW_ROOM_M * np.concatenate([np.eye(3), -np.eye(3)])
-    return bool((first_faces(corners, place, around, slack=0.0) < 0).all() and length(middle - place) > 0)
+    return bool((first_faces(corners, place, around, slack=0.0) < 0).all() and np.linalg.norm(middle - place) > 0)
 
 
 def position_of(device: str, configured: Point | None, offset: Point | None, scene: Scene) -> Floats:

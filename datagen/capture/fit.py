@@ -15,7 +15,6 @@ from datagen.records import Capture, Laser, Rectangle, Scene, Sensor
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind
 from datagen.seeding import Purpose, generator
-from scene_library.rounding import length
 
 CONFOCAL_PIXEL_M = 0.05
 """Side of a confocal pixel on the wall if no size is configured. Halved, it collects a quarter of the light."""
@@ -87,8 +86,8 @@ def _sensor(settings: CaptureConfig, position: Floats, wall: Rectangle, targets:
         return Sensor.grid(position, center, right, up, view.rows, view.columns, radius)
     width = CONFOCAL_PIXEL_M if view.width_m is None else view.width_m
     height = CONFOCAL_PIXEL_M if view.height_m is None else view.height_m
-    right = wall.right * (width / 2 / length(wall.right))
-    up = wall.up * (height / 2 / length(wall.up))
+    right = wall.right * (width / 2 / np.linalg.norm(wall.right))
+    up = wall.up * (height / 2 / np.linalg.norm(wall.up))
     square = np.stack([-right - up, right - up, right + up, -right + up])
     return Sensor(position, targets[:, None] + square, radius)
 

@@ -10,7 +10,6 @@ from datagen.config.scans import AnyScan, CircleScan, GridScan, ImportedScan, Po
 from datagen.errors import InputError
 from datagen.records import Rectangle
 from datagen.records.arrays import Floats
-from scene_library.rounding import cos, length, product, sin
 
 DEFAULT_FILL = 0.8
 """Share of the visible wall that a scan or field of view covers by default. Halved, it is half as wide."""
@@ -64,7 +63,7 @@ def rectangle_on(
     for name, size_m, axis, offset in zip(
         ("width_m", "height_m"), (width_m, height_m), (wall.right, wall.up), middle, strict=True
     ):
-        visible = 2 * float(length(axis))
+        visible = 2 * float(np.linalg.norm(axis))
         most = visible - 2 * abs(float(offset))
         if most <= 0:
             raise _off_the_wall(f"{key}.center_m", center_m, wall)
@@ -99,7 +98,7 @@ def _circle(scan: CircleScan, wall: Rectangle) -> Floats:
             "scene's relay wall; make it smaller or leave it out"
         )
     angle = np.radians(scan.start_deg) + 2 * np.pi * np.arange(scan.count) / scan.count
-    return np.stack([_at(wall, *(middle + radius * np.array([cos(a), sin(a)]))) for a in angle])
+    return np.stack([_at(wall, *(middle + radius * np.array([np.cos(a), np.sin(a)]))) for a in angle])
 
 
 def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
@@ -119,7 +118,7 @@ def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Float
         return np.zeros(2)
     if len(place) == 2:
         return np.asarray(place, np.float64)
-    right, up = (axis / length(axis) for axis in (wall.right, wall.up))
+    right, up = (axis / np.linalg.norm(axis) for axis in (wall.right, wall.up))
     from_center = np.asarray(place, np.float64) - wall.center
     off = abs(float(from_center @ np.cross(right, up)))
     if off > ON_THE_WALL_M:
@@ -127,12 +126,12 @@ def _in_plane(key: str, place: Sequence[float] | None, wall: Rectangle) -> Float
             f"capture.{key} = {list(place)}: lies {off:.3g} m off this scene's relay wall; give a point on it, or "
             "(right, up) from the middle of its visible part"
         )
-    return np.array([product(from_center, right), product(from_center, up)])
+    return np.array([from_center @ right, from_center @ up])
 
 
 def _at(wall: Rectangle, right_m: float, up_m: float) -> Floats:
     """(3,) the point of the wall at (right, up) from its centre."""
-    right, up = (axis / length(axis) for axis in (wall.right, wall.up))
+    right, up = (axis / np.linalg.norm(axis) for axis in (wall.right, wall.up))
     return np.asarray(wall.center + right_m * right + up_m * up)
 
 

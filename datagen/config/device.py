@@ -22,7 +22,6 @@ from datagen.errors import InputError
 from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.untrusted import one_line, read_npz
-from scene_library.rounding import cos, length, product, sin
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
 """Folder of the catalogue."""
@@ -280,13 +279,12 @@ class DeviceConfig(Settings):
         """
         forward = target - place
         right = np.cross(forward, vertical)
-        if length(right) <= 1e-9 * length(forward) * length(vertical):
+        if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(vertical):
             raise InputError(
                 f"Device.at: toward = {target.tolist()} and up = {vertical.tolist()} give no orientation: "
                 "toward must differ from position, and up must not lie along the axis"
             )
-        # Lengths, products and tangents that round alike on every processor, as datasets depend on them.
-        forward, right = forward / length(forward), right / length(right)
+        forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
         above = np.cross(right, forward)
         laser, sensor = self._optics(place, np.stack([right, above, forward]))
         return Capture(laser, sensor, self.axis, self.pairing, "flood" if self.is_flood else "scan")
@@ -301,7 +299,7 @@ class DeviceConfig(Settings):
         weights = None
         if light.spread is not None:
             aside = grid.targets - lit_from
-            tangents = product(aside, right), product(aside, above)
+            tangents = aside @ right, aside @ above
             weights = np.exp(-0.5 * (tangents[0] ** 2 + tangents[1] ** 2) / light.spread**2)
         cells = grid.cells if light.kind == "flood" else None
         laser = Laser(lit_from, grid.targets, weights, cells)
@@ -377,7 +375,7 @@ def device_of(values: dict[str, Any], source: str, model: type[AnyDevice], folde
 def _tangent_of_half(degrees: float) -> float:
     """tan(angle / 2)."""
     half = np.radians(degrees) / 2
-    return float(sin(half) / cos(half))
+    return float(np.tan(half))
 
 
 def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:

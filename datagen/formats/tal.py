@@ -2,8 +2,8 @@
 
 All arrays lie at the root, with the names of y-tal; times are metres of path. What is written has the relay wall at
 z = 0 and the hidden part at z > 0; points on an uneven wall lie off that plane, each with the normal of the surface
-there. x comes before y, both ascending; time is padded to begin at 0 and to a number of bins that is a power of two, which
-y-tal's fk and lct assume. Every layout of H is read.
+there. x comes before y, both ascending; time is padded to begin at 0 and to a number of bins that is a power of two,
+which y-tal's fk and lct assume. Every layout of H is read.
 """
 
 from __future__ import annotations

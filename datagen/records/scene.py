@@ -13,7 +13,6 @@ from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import as_points, as_reals, check_choice, check_kind, check_number, check_places, shown
 from datagen.records.materials import Material
-from scene_library.rounding import cos, length, sin
 
 if TYPE_CHECKING:
     import trimesh
@@ -48,7 +47,7 @@ class Pose:
     def upright(cls, label: str, rotation_deg: float = 0.0) -> Pose:
         """Height along z; width and depth along x and y, rotated by `rotation_deg` about z."""
         check_number("Pose.upright", "rotation_deg", rotation_deg, -1e9, 1e9, "degrees")
-        c, s = float(cos(np.radians(rotation_deg))), float(sin(np.radians(rotation_deg)))
+        c, s = float(np.cos(np.radians(rotation_deg))), float(np.sin(np.radians(rotation_deg)))
         return cls(label, np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
 
 
@@ -117,7 +116,7 @@ class Rectangle:
     def normal(self) -> Floats:
         """Unit normal right × up; for a relay wall it points into the room. Shape (3,)."""
         n = np.cross(self.right, self.up)
-        return np.asarray(n / length(n))
+        return np.asarray(n / np.linalg.norm(n))
 
     @property
     def corners(self) -> Floats:

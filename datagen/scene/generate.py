@@ -26,7 +26,6 @@ from datagen.scene.refusals import explain
 from datagen.seeding import Purpose, generator
 from scene_library.placement import FreeSpace
 from scene_library.rooms import FloorPlan, RoomDoesNotClose
-from scene_library.rounding import length
 from scene_library.sightlines import even_points, seen_fractions
 from scene_library.solids import Solid, joined
 from scene_library.visibility import visible_fan, visible_interval
@@ -199,7 +198,7 @@ def _visible_relay_wall(plan: FloorPlan, fan: Floats) -> Rectangle:
         raise RoomDoesNotClose(f"the device sees less than {SMALLEST_VIEW_M} m of the relay wall: widen the corridor")
     if plan.all_in_view:
         return _upright(start, end, plan.visible_top_m)
-    unit = (end - start) / length(end - start)
+    unit = (end - start) / np.linalg.norm(end - start)
     return _upright(start + seen[0] * unit, start + seen[1] * unit, plan.visible_top_m)
 
 

@@ -14,7 +14,6 @@ from datagen.records.arrays import Floats
 from datagen.scene.draws import Thing
 from scene_library.placement import FreeSpace, Occupied, WallSpots
 from scene_library.rooms import FloorPlan
-from scene_library.rounding import length
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
@@ -96,7 +95,7 @@ def _spot(
     (x0, y0), (x1, y1) = plan.hidden
     x = x0 + along * (x1 - x0) if item.distance_m is None else plan.relay_segment[0, 0] - along
     if item.offset_m is not None:
-        y = wall.center[1] + across * wall.right[1] / length(wall.right)
+        y = wall.center[1] + across * wall.right[1] / np.linalg.norm(wall.right)
     else:
         y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
     if item.distance_m is None and item.offset_m is None:

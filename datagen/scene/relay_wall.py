@@ -15,7 +15,6 @@ from scene_library.placement import Occupied
 from scene_library.polygons import boundary_distance, contains
 from scene_library.relief import Relief, ReliefTooFine, bumpy, corrugated, curved, stepped, uneven_wall
 from scene_library.rooms import FloorPlan, RoomDoesNotClose
-from scene_library.rounding import length
 from scene_library.separation import gap_between
 from scene_library.solids import Surface
 from scene_library.visibility import visible_fan, visible_interval
@@ -47,7 +46,7 @@ def draw_relay_wall(
     if settings.kind == "flat":
         return None, {}
     start, end = plan.relay_segment
-    size = float(length(end - start)), plan.height_m
+    size = float(np.linalg.norm(end - start)), plan.height_m
     relief_m = draw(settings.relief_m, rng)
     drawn: dict[str, Scalar] = {"relay_wall.kind": settings.kind, "relay_wall.relief_m": relief_m}
     length_m = 0.0
@@ -114,7 +113,7 @@ def draw_clutter(
 def _before_wall(piece: Surface, along_m: float, start: Floats, end: Floats) -> tuple[Surface, Occupied]:
     """Surface and space of a piece (x along the wall, y out of it, z up) whose middle is at `along_m`."""
     vertices, faces = piece
-    along = (end - start) / length(end - start)
+    along = (end - start) / np.linalg.norm(end - start)
     inward = np.array([-along[1], along[0]])
 
     def in_plan(places: Floats) -> Floats:

@@ -1,7 +1,4 @@
-"""Mean and spread of histograms, as log(1 + counts), and of labels, computed for each scene when it is written.
-
-The results have the same bits on any processor, because all sums are sums of integers or exactly rounded.
-"""
+"""Mean and spread of histograms, as log(1 + counts), and of labels, computed for each scene when it is written."""
 
 from __future__ import annotations
 
@@ -13,8 +10,6 @@ from typing import Annotated
 import numpy as np
 import pydantic
 from numpy.typing import NDArray
-
-from datagen.records.arrays import Floats
 
 LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
 """Labels whose values are quantities, not indices."""
@@ -40,31 +35,13 @@ QUANTITIES = tuple(field.name for field in fields(FieldStats))
 def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     """The statistics of one scene's values of a field."""
     size = max(values.size, 1)
-    found = values[values != 0]
+    # Most values are 0, and count by their number alone.
+    found = values[values != 0].astype(np.float64)
     if field in COUNTS:
-        if values.dtype.itemsize <= 2:
-            every = np.bincount(found)  # several times as fast as `unique`
-            counts, times = np.flatnonzero(every), every[every > 0]
-        else:
-            counts, times = np.unique(found, return_counts=True)
-        # numpy's log1p rounds differently on different processors.
-        logs = np.array([math.log1p(count) for count in counts.tolist()])
-        weighed = times * logs
-        mean, square = (math.fsum(terms.tolist()) / size for terms in (weighed, weighed * logs))
-    else:
-        exact = found.astype(np.float64)
-        mean, square = (_sum(x) / size for x in (exact, exact * exact))
-    return FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), found.size / size)
-
-
-def _sum(values: Floats) -> float:
-    """The sum of values, independent of their order. Each value is rounded to a multiple of 2^−steps, as fine as lets
-    the sum fit into 62 bits. That is finer than a double, so the spread of almost equal values stays right."""
-    largest = float(np.abs(values).max(initial=0.0)) * max(values.size, 1)
-    if not math.isfinite(largest):
-        return largest
-    steps = min(62 - math.frexp(largest)[1], 1000)
-    return math.ldexp(int(np.rint(values * math.ldexp(1.0, steps)).astype(np.int64).sum()), -steps)
+        found = np.log1p(found)
+    mean = found.sum() / size
+    square = (((found - mean) ** 2).sum() + (values.size - found.size) * mean * mean) / size
+    return FieldStats(float(mean), math.sqrt(square), found.size / size)
 
 
 def together(scenes: Sequence[FieldStats]) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene_library.rounding import Floats, cos, sin
+from scene_library.arrays import Floats
 from scene_library.solids import Solid, Surface, ellipsoid, limb
 
 
@@ -12,9 +12,9 @@ def _direction(angle_forward: float, angle_out: float, side: float) -> Floats:
     """A downward limb swung forward (towards −y) and outward by angles in radians."""
     return np.array(
         [
-            side * sin(angle_out),
-            -sin(angle_forward) * cos(angle_out),
-            -cos(angle_forward) * cos(angle_out),
+            side * np.sin(angle_out),
+            -np.sin(angle_forward) * np.cos(angle_out),
+            -np.cos(angle_forward) * np.cos(angle_out),
         ]
     )
 
@@ -37,7 +37,7 @@ def _figure(height: float, head_share: float, rng: np.random.Generator, seated: 
     build = rng.uniform(0.85, 1.15)
     girth, shoulders, hips = 0.03 * h * build, 0.115 * h * build, 0.055 * h * build
     stride = 0.0 if seated else rng.uniform(0.0, 0.45)
-    waist = 0.26 * h if seated else leg * float(cos(stride))
+    waist = 0.26 * h if seated else leg * float(np.cos(stride))
     neck = waist + (1 - 0.47) * h - 1.35 * head
     pieces = [
         ellipsoid((0.42 * head, 0.48 * head, 0.6 * head), (0, 0, neck + 0.75 * head), 16),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene_library.rounding import cos, sin
 from scene_library.solids import Solid, Surface, block, cylinder, ellipsoid, lathed, limb, moved, rotated
 
 
@@ -155,7 +154,7 @@ def coat_stand(rng: np.random.Generator) -> Solid:
     pieces = [cylinder(foot, 0.03), cylinder(0.04, height - 0.03, z=0.03)]
     for k in range(hooks):
         a = 2 * np.pi * k / hooks
-        c, s = float(cos(a)), float(sin(a))
+        c, s = float(np.cos(a)), float(np.sin(a))
         pieces.append(limb((0.02 * c, 0.02 * s, 0.9 * height), (0.17 * c, 0.17 * s, 0.97 * height), 0.012, 0.01))
     return Solid.compound(pieces)
 

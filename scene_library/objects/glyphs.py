@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from scene_library.arrays import Floats
 from scene_library.plates import union_plate
 from scene_library.polygons import Polygon, following, signed_area
-from scene_library.rounding import Floats, cos, sin
 from scene_library.solids import Solid
 
 _Stroke = list[tuple[float, float]]
@@ -20,7 +20,7 @@ _Stroke = list[tuple[float, float]]
 def _arc(cx: float, cy: float, rx: float, ry: float, start_deg: float, end_deg: float) -> _Stroke:
     steps = max(2, round(abs(end_deg - start_deg) / 22.5))
     angles = np.radians(np.linspace(start_deg, end_deg, steps + 1))
-    return [(float(cx + rx * cos(a)), float(cy + ry * sin(a))) for a in angles]
+    return [(float(cx + rx * np.cos(a)), float(cy + ry * np.sin(a))) for a in angles]
 
 
 def _ring(cx: float, cy: float, rx: float, ry: float) -> _Stroke:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from scene_library.rounding import cos, sin
 from scene_library.solids import Solid, block, cylinder, ellipsoid, hollow, lathed, limb, moved, rotated, torus
 
 
@@ -108,7 +107,7 @@ def carton(rng: np.random.Generator) -> Solid:
 def ladder(rng: np.random.Generator) -> Solid:
     """A standing step ladder."""
     height, width, lean = rng.uniform(1.0, 2.0), rng.uniform(0.4, 0.55), rng.uniform(12, 18)
-    reach = height * float(sin(np.radians(lean)) / cos(np.radians(lean)))
+    reach = height * float(np.tan(np.radians(lean)))
     pieces = []
     for s in (-1, 1):
         pieces.append(limb((s * width / 2, -reach, 0), (s * 0.4 * width, -0.03, height), 0.02, 0.02))

@@ -6,7 +6,6 @@ import numpy as np
 
 from scene_library.plates import union_plate
 from scene_library.polygons import rotation
-from scene_library.rounding import product
 from scene_library.solids import Solid, ellipsoid, extruded, lathed, rectangle, regular_polygon, rotated, torus
 
 
@@ -66,7 +65,7 @@ def star(rng: np.random.Generator) -> Solid:
     points, size = int(rng.integers(4, 8)), rng.uniform(0.4, 1.0)
     outline = regular_polygon(size, 2 * points)
     outline[1::2] *= rng.uniform(0.35, 0.6)
-    outline = product(outline, rotation(np.pi / 2).T)
+    outline = outline @ rotation(np.pi / 2).T
     return Solid.compound([union_plate([outline], 0.03)])
 
 

@@ -1,4 +1,4 @@
-"""What pixels see along a few fixed lines of sight, their corners included, the same on every processor.
+"""What pixels see along a few fixed lines of sight, their corners included.
 
 A corner of a pixel often lies where the wall ends or meets another wall, and there rounding decides which triangle a
 single-precision ray meets. So the ray of each line of sight is cast a little inside its pixel, and the line itself is

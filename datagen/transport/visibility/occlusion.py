@@ -1,7 +1,7 @@
 """Occlusion between two points, or between a point and all of a triangle, in double precision.
 
 Compiled loops call these functions for one line at a time; they search a BVH over the triangles that can hide
-anything (`occluder_rows.py`), and give the same result on every processor.
+anything (`occluder_rows.py`).
 """
 
 from __future__ import annotations
