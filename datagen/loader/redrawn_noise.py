@@ -141,7 +141,8 @@ def _raised(typing: Any, counts: Any, place: Any) -> Any:
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(counts)(context, builder, arguments[0])
-        number = cgutils.get_item_pointer(context, builder, counts, array, [arguments[1]])
+        at: Any = cgutils.get_item_pointer
+        number = at(context, builder, counts, array, [arguments[1]])
         return builder.atomic_rmw("add", number, context.get_constant(counts.dtype, 1), "seq_cst")
 
     return counts.dtype(counts, place), code
@@ -152,5 +153,5 @@ def _taken(counts: Ints, places: Ints) -> Ints:
     """(n,) counts at these places, each of which is raised by one."""
     taken = np.empty(len(places), np.int64)
     for i in range(len(places)):
-        taken[i] = _raised(counts, places[i])
+        taken[i] = _raised(counts, places[i])  # type: ignore[call-arg]
     return taken
