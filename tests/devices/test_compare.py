@@ -215,4 +215,4 @@ def test_the_real_pyramid_agrees_as_far_as_stated() -> None:
 @real
 def test_the_real_pyramid_agrees_as_far_as_the_documentation_says() -> None:
     found = dg.compare(dg.read_frames(CAPTURES), dg.device("tmf8820"), dg.read_parts([MESH]))
-    assert np.median(found.relative_l2) < 0.065 and np.percentile(found.relative_l2, 90) < 0.14
+    assert np.median(found.relative_l2) < 0.072 and np.percentile(found.relative_l2, 90) < 0.155
