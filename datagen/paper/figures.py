@@ -77,7 +77,7 @@ def lookins_figure(runs: Runs) -> Figure:
     nearest wall by cosφ, and of the pillar, where there is one, by |sinθ|."""
     scene = runs.scene
     walls = [k for k, role in enumerate(scene.roles) if role == "structure"]
-    upright = np.abs(normals_of(scene)[:, 2]) < _UPRIGHT
+    upright = np.abs(normals_of(scene.corners)[:, 2]) < _UPRIGHT
     wall = _example(runs, scene, lambda of: np.isin(of.part, walls) & upright[of.face])
     examples = [("nearest wall, B = cosφ", wall)]
     if "pillar" in scene.part_names:

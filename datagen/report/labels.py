@@ -95,11 +95,12 @@ class LabelImage:
     def rgb(self) -> NDArray[np.uint8]:
         """(rows, columns, 3) colours as bytes; white where it is empty."""
         if self.values.ndim == 3:
-            return np.rint(255 * self.values).astype(np.uint8)
+            return np.asarray(np.rint(255 * self.values), np.uint8)
         if self.empty:
             return np.full((*self.values.shape, 3), 255, np.uint8)
         colors = colormaps[self.look.colors].with_extremes(bad="white")
-        return np.asarray(colors(self.look.norm(self.values)(self.values), bytes=True), np.uint8)[..., :3]
+        shown: NDArray[np.uint8] = colors(self.look.norm(self.values)(self.values), bytes=True)[..., :3]
+        return shown
 
     @property
     def span(self) -> tuple[float, float] | None:

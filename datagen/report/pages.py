@@ -28,10 +28,6 @@ from datagen.store.summaries import OVER_M
 PAGES = ("overview", "histogram", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
 _FIELDS = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
-_SCAN_TEXT = (
-    "Left: time along the row that objects reach most; right: the wall at four moments, each on its own scale with "
-    "the root of the light as brightness, or the places of a scan without a grid"
-)
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
@@ -75,7 +71,7 @@ def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -
         "overview": lambda: _overview_page(stored, replayed, labels["depth"]),
         "histogram": lambda: _counts_page(stored, replayed),
         "labels": lambda: labels_page(stored, replayed.scene, labels, _labels_text(stored, replayed.scene, missing)),
-        "scan": lambda: scan_page(stored.title, replayed.light, f"{_SCAN_TEXT}; {_provenance(replayed)}."),
+        "scan": lambda: scan_page(stored.title, replayed.light, _provenance(replayed)),
     }
     for name in names:
         figure = makers[name]()
@@ -101,7 +97,7 @@ def stored_pages(stored: StoredScene, why: str) -> Iterator[tuple[str, Figure]]:
         assert light is not None
         yield name, _curves_page(f"{stored.title}: {name}", light, values, None, time, unit, "", text)
     if light is not None:
-        figure = scan_page(stored.title, light, f"{_SCAN_TEXT}.")
+        figure = scan_page(stored.title, light)
         if figure is not None:
             yield "scan", figure
     if scene is not None and (labels or OBJECT_TABLES[0] in stored.arrays):

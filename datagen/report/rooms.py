@@ -76,39 +76,9 @@ class View:
     depth: Floats
     extent: tuple[float, float, float, float]
 
-    @classmethod
-    def of(cls, scene: Scene, camera: Camera, faces: Ints, pixels: int) -> View:
-        """The view of some triangles; `pixels` is the longer side of the grid."""
-        spread = camera.project(scene.vertices)
-        low, high = spread.min(axis=0), spread.max(axis=0)
-        step = max(float((high - low)[:2].max()), 1e-9) / pixels
-        columns, rows = (int(n) + 2 for n in (high - low)[:2] / step)
-        right = low[0] + step * (np.arange(columns) - 0.5)
-        up = low[1] + step * (np.arange(rows) - 0.5)[::-1]
-        extent = (right[0] - step / 2, right[-1] + step / 2, up[-1] - step / 2, up[0] + step / 2)
-        met, depth = np.full((rows, columns), -1), np.full((rows, columns), np.inf)
-        if len(faces):
-            # Rays start before everything.
-            start = np.stack([*np.meshgrid(right, up), np.full((rows, columns), low[2] - step)], axis=-1).reshape(
-                -1, 3
-            )
-            rays = start @ camera.axes
-            mesh = trimesh.Trimesh(scene.vertices, scene.triangles[faces], process=False)
-            found = mesh.ray.intersects_first(rays, np.broadcast_to(camera.axes[2], rays.shape))
-            hit = np.flatnonzero(found >= 0)
-            triangle = faces[found[hit]]
-            normal = normals_of(scene)[triangle]
-            away = ((scene.corners[triangle, 0] - rays[hit]) * normal).sum(axis=1)
-            slope = normal @ camera.axes[2]
-            along = low[2] - step + away / np.where(slope == 0, np.inf, slope)
-            # A triangle seen edge-on has no depth of its own.
-            own = scene.corners[triangle] @ camera.axes[2]
-            met.flat[hit], depth.flat[hit] = triangle, along.clip(own.min(axis=1), own.max(axis=1))
-        return cls(met, depth, extent)
-
     def shaded(self, scene: Scene, camera: Camera, colors: Mapping[str, str]) -> Floats:
         """(rows, columns, 4) RGBA: parts in their colours, darker where they turn away, with outlines."""
-        normal = normals_of(scene)[self.faces]
+        normal = normals_of(scene.vertices[scene.triangles[self.faces]])
         part = np.where(self.faces < 0, -1, scene.face_part[self.faces])
         light = camera.axes.T @ np.array([-0.35, 0.6, -0.72])
         color = np.array([to_rgb(colors[name]) for name in scene.part_names])[part]
@@ -131,26 +101,64 @@ def _outlines(part: NDArray[Any], normal: Floats, depth: Floats) -> Bools:
     return edge & (part >= 0)
 
 
-def normals_of(scene: Scene) -> Floats:
-    """(F, 3) unit normals of all triangles (0 for one without area)."""
-    corners = scene.corners
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
+@dataclass(frozen=True)
+class Surfaces:
+    """Some triangles of a scene, which rays can meet."""
+
+    scene: Scene
+    faces: Ints
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The triangles in the order of `faces`."""
+        return trimesh.Trimesh(self.scene.vertices, self.scene.triangles[self.faces], process=False)
+
+    def seen(self, camera: Camera, pixels: int) -> View:
+        """What a camera sees of them; `pixels` is the longer side of the grid, which has room for the whole scene."""
+        spread = camera.project(self.scene.vertices)
+        low, high = spread.min(axis=0), spread.max(axis=0)
+        step = max(float((high - low)[:2].max()), 1e-9) / pixels
+        columns, rows = (int(n) + 2 for n in (high - low)[:2] / step)
+        right = low[0] + step * (np.arange(columns) - 0.5)
+        up = low[1] + step * (np.arange(rows) - 0.5)[::-1]
+        met, depth = np.full((rows, columns), -1), np.full((rows, columns), np.inf)
+        if len(self.faces):
+            # Rays start before everything.
+            start = np.full((rows, columns), low[2] - step)
+            rays = np.stack([*np.meshgrid(right, up), start], axis=-1).reshape(-1, 3) @ camera.axes
+            found = self.mesh.ray.intersects_first(rays, np.broadcast_to(camera.axes[2], rays.shape))
+            hit = np.flatnonzero(found >= 0)
+            triangle = self.faces[found[hit]]
+            corners = self.scene.vertices[self.scene.triangles[triangle]]
+            normal, own = normals_of(corners), corners @ camera.axes[2]
+            slope = normal @ camera.axes[2]
+            away = ((corners[:, 0] - rays[hit]) * normal).sum(axis=1) / np.where(slope == 0, np.inf, slope)
+            # A triangle seen edge-on has no depth of its own.
+            depth.flat[hit] = (start[0, 0] + away).clip(own.min(axis=1), own.max(axis=1))
+            met.flat[hit] = triangle
+        return View(met, depth, (right[0] - step / 2, right[-1] + step / 2, up[-1] - step / 2, up[0] + step / 2))
+
+
+def normals_of(corners: Floats) -> Floats:
+    """(..., 3) unit normals of triangles (..., 3, 3); 0 for one without area."""
+    normal = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
     return normal / np.where(length > 0, length, 1.0)
 
 
 def room_faces(scene: Scene) -> tuple[Ints, Ints, Ints]:
     """Triangles of the walls, of the ceiling, and all others."""
     structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
-    lying = abs(normals_of(scene)[:, 2]) > _LYING
-    upper = scene.corners[..., 2].mean(axis=1) > (scene.vertices[:, 2].min() + scene.vertices[:, 2].max()) / 2
+    corners = scene.corners
+    lying = abs(normals_of(corners)[:, 2]) > _LYING
+    upper = corners[..., 2].mean(axis=1) > (scene.vertices[:, 2].min() + scene.vertices[:, 2].max()) / 2
     walls, ceiling = structure & ~lying, structure & lying & upper
     return np.flatnonzero(walls), np.flatnonzero(ceiling), np.flatnonzero(~walls & ~ceiling)
 
 
 def flat_walls(scene: Scene, walls: Ints) -> list[tuple[Ints, Floats]]:
     """Triangles of each flat piece of wall, and its border as (E, 2, 3) edges."""
-    mesh = trimesh.Trimesh(scene.vertices, scene.triangles[walls], process=False)
+    mesh = Surfaces(scene, walls).mesh
     mesh.merge_vertices()
     flat = mesh.face_adjacency[mesh.face_adjacency_angles < 1e-3]
     pieces = []
@@ -165,11 +173,11 @@ def cut_open(scene: Scene, camera: Camera) -> tuple[Ints, Floats]:
     """The triangles to draw, without ceiling and walls in the way, and the (E, 2, 3) edges of those walls."""
     walls, _, others = room_faces(scene)
     pieces, outlines = flat_walls(scene, walls) if len(walls) else [], [np.empty((0, 2, 3))]
-    behind = View.of(scene, camera, others, _SURVEY_PIXELS)
+    behind = Surfaces(scene, others).seen(camera, _SURVEY_PIXELS)
     margin = 0.01 * float(np.ptp(camera.project(scene.vertices)[:, 2]))
     # What a wall in the way hides may be another wall in the way: until none is left.
     while pieces:
-        before = View.of(scene, camera, np.concatenate([faces for faces, _ in pieces]), _SURVEY_PIXELS)
+        before = Surfaces(scene, np.concatenate([faces for faces, _ in pieces])).seen(camera, _SURVEY_PIXELS)
         hiding = before.faces[before.depth < np.where(np.isinf(behind.depth), -np.inf, behind.depth - margin)]
         pixels = np.bincount(hiding, minlength=len(scene.triangles))
         goes = [pixels[faces].sum() > _IN_THE_WAY * before.faces.size for faces, _ in pieces]
@@ -180,22 +188,19 @@ def cut_open(scene: Scene, camera: Camera) -> tuple[Ints, Floats]:
     return np.concatenate([others, *(faces for faces, _ in pieces)]), np.concatenate(outlines)
 
 
-def best_view(scene: Scene) -> tuple[Camera, Ints, Floats]:
-    """The camera, of a few before the relay wall, that shows most of objects and relay wall; and the room opened for
-    it, as by `cut_open`."""
+def best_camera(scene: Scene) -> Camera:
+    """The camera, of a few before the relay wall, that shows most of objects and relay wall, all walls taken off."""
     normal = np.array([-1.0, 0.0, 0.0]) if scene.relay_wall is None else scene.relay_wall.normal
     front = float(np.degrees(np.arctan2(normal[1], normal[0])))
-    wanted = np.array([role != "structure" for role in scene.roles])
+    wanted, surfaces = np.array([role != "structure" for role in scene.roles]), Surfaces(scene, room_faces(scene)[2])
 
-    def seen(camera: Camera, faces: Ints) -> float:
-        met = View.of(scene, camera, faces, _SURVEY_PIXELS).faces
+    def shown(camera: Camera) -> float:
+        met = surfaces.seen(camera, _SURVEY_PIXELS).faces
         pixels = np.bincount(scene.face_part[met[met >= 0]], minlength=len(wanted))
         # By the logarithm, so that a small part that is hidden counts more than a large one that is seen better.
         return float(np.log1p(pixels[wanted]).sum())
 
-    cameras = [Camera.looking(front + azimuth, _ELEVATION_DEG) for azimuth in _AZIMUTHS_DEG]
-    views = [(camera, *cut_open(scene, camera)) for camera in cameras]
-    return max(views, key=lambda view: seen(*view[:2]))
+    return max((Camera.looking(front + azimuth, _ELEVATION_DEG) for azimuth in _AZIMUTHS_DEG), key=shown)
 
 
 @dataclass(frozen=True)
@@ -215,8 +220,9 @@ class RoomPicture:
 
     @cached_property
     def opened(self) -> tuple[Camera, Ints, Floats]:
-        """As `best_view`."""
-        return best_view(self.scene)
+        """Camera, triangles and edges as by `best_camera` and `cut_open`."""
+        camera = best_camera(self.scene)
+        return camera, *cut_open(self.scene, camera)
 
     @property
     def devices(self) -> dict[str, Floats]:
@@ -265,7 +271,7 @@ def draw_sight(axes: Axes, scene: Scene) -> None:
     if scene.device_position is None:
         return
     walls, _, others = room_faces(scene)
-    mesh = trimesh.Trimesh(scene.vertices, scene.triangles[np.concatenate([walls, others])], process=False)
+    mesh = Surfaces(scene, np.concatenate([walls, others])).mesh
     angle = np.linspace(0, 2 * np.pi, 1440, endpoint=False)
     rays = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     # In the open the view ends where the scene does.
@@ -305,7 +311,7 @@ def _marker(label: str) -> str:
 
 def _show(axes: Axes, room: RoomPicture, camera: Camera, faces: Ints) -> tuple[float, float, float, float]:
     """Show triangles, shaded; returns the extent of the picture."""
-    view = View.of(room.scene, camera, faces, room.pixels)
+    view = Surfaces(room.scene, faces).seen(camera, room.pixels)
     axes.imshow(view.shaded(room.scene, camera, room.colors or part_colors(room.scene)), extent=view.extent, zorder=2)
     # Space for marks that reach beyond the picture.
     axes.use_sticky_edges = False

@@ -81,11 +81,19 @@ def _columns(places: Floats) -> int | None:
     return columns if regular and (len(down) < 2 or abs(down - down[0]).max() <= tolerance) else None
 
 
-def scan_page(title: str, light: Light, text: str) -> Figure | None:
-    """Slices of the scan, all light above and that of objects below; None when there is a single channel."""
+def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
+    """Slices of the scan, all light above and that of objects below; None when there is a single channel.
+
+    source : a clause on where the light comes from, for the caption.
+    """
     if light.total.shape[0] * light.total.shape[1] < 2:
         return None
     raster = Raster.of(light)
+    text = f"Left: time against the number of the {raster.what}; right: its place, coloured by its sum over time"
+    if raster.x_m is not None:
+        most = "objects reach most" if light.objects.any() else "has most light"
+        text = f"Left: time along the row that {most}; right: the wall at {MOMENTS} moments, each on its own scale"
+    text = f"{text}; {source}." if source else f"{text}."
     layers = {"all light" if light.objects.any() else "": light.total}
     if light.objects.any():
         layers["objects only"] = light.objects
@@ -161,5 +169,5 @@ def _draw_places(figure: FigureBase, axes: Axes, scan: Floats, raster: Raster, l
     axes.plot(x, y, color="#999999", linewidth=0.5, zorder=1)
     drawn = axes.scatter(x, y, s=25, c=scan[0].sum(axis=-1), cmap=_COLORS)
     figure.colorbar(drawn, ax=axes, pad=0.02, label="sum over time")
-    axes.set(xlabel="right (m)", ylabel="up (m)", title=f"{raster.what}s on the relay wall".capitalize())
+    axes.set(xlabel="right (m)", ylabel="up (m)", title=f"Where each {raster.what} lies")
     axes.set_aspect("equal", adjustable="datalim")

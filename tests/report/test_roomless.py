@@ -83,7 +83,7 @@ def test_scenes_made_in_python(given: Path, tmp_path: Path) -> None:
     ]
     written = texts(given, 1)
     assert "made in Python" in written["transient"] and "photons per emitted photon" in written["transient"]
-    assert "counts per bin" in written["histogram"] and "four moments" in written["scan"]
+    assert "counts per bin" in written["histogram"] and "4 moments" in written["scan"]
     assert all(word in written["labels"] for word in ("box_1", "Depth (m)", "Occupied share", "Objects"))
     page = preview(given, tmp_path / "page.html", scenes=1).read_text()
     assert "There are no rooms to show: these scenes were made in Python" in page

@@ -8,14 +8,14 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.colors import to_rgb
 
 from datagen.records import Lambertian, Part, Scene
-from datagen.report.rooms import Camera, View, best_view, cut_open
+from datagen.report.rooms import Camera, RoomPicture, Surfaces, cut_open
 from datagen.report.style import part_colors
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_ceiling_goes_and_floor_objects_and_relay_wall_stay(side: int) -> None:
     scene = l_corridor(side)
-    _, faces, outlines = best_view(scene)
+    _, faces, outlines = RoomPicture(scene).opened
     kept = {scene.part_names[k] for k in np.unique(scene.face_part[faces])}
     assert {"floor", "pillar", "box", "relay_wall"} <= kept
     assert "ceiling" in scene.part_names and "ceiling" not in kept
@@ -36,7 +36,7 @@ def test_picture_shows_the_nearest_part_where_it_is() -> None:
     above = Part("above", box_mesh((1, 1, 0.1), (1, 1, 1)), Lambertian(0.5))
     scene = Scene.from_parts([below, above])
     camera = Camera.from_above()
-    view = View.of(scene, camera, np.arange(24), 500)
+    view = Surfaces(scene, np.arange(24)).seen(camera, 500)
     picture, (left, right, bottom, top) = view.shaded(scene, camera, part_colors(scene)), view.extent
     rows, columns = picture.shape[:2]
 

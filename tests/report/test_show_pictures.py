@@ -166,7 +166,7 @@ def test_a_scan_without_a_grid_shows_time_against_laser_point(dark: bool) -> Non
             transient=replace(again.transient, components={"primary": 0 * again.transient.total}, parts=nothing),
         )
     figure = drawn(stored, again, ["scan"])["scan"]
-    assert words(figure).count("Laser points on the relay wall") == 1 + (not dark)
+    assert words(figure).count("Where each laser point lies") == 1 + (not dark)
     assert [axes.get_xlabel() for axes in figure.axes].count("number of the laser point") == 1 + (not dark)
     if not dark:
         (image,) = next(axes for axes in figure.axes if axes.get_title(loc="left").endswith("all light")).images
