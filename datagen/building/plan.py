@@ -80,12 +80,9 @@ class Plan:
 
     def as_json(self) -> dict[str, Any]:
         """The plan as plain values for JSON, with None in place of NaN."""
-        values = asdict(self)
-        pilots = values.pop("pilots")
-        simulated = len(self.pilots.parameters)
-        return dict(
-            finite({**values, "simulated": simulated, "stored": pilots["stored"], "failed": pilots["failed"]})
-        )
+        values = {name: value for name, value in asdict(self).items() if name != "pilots"}
+        of = self.pilots
+        return dict(finite({**values, "simulated": len(of.parameters), "stored": of.stored, "failed": of.failed}))
 
 
 def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS) -> Plan:
