@@ -18,7 +18,7 @@ from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.pipeline import check_inputs, simulate_sample
 from datagen.records import Sample, Scalar
-from datagen.store import Manifest, prepare, schema_of, write_shard
+from datagen.store import prepare, schema_of, write_shard
 from datagen.store.environment import cores
 from datagen.store.files import finite
 from datagen.store.summaries import KindEvidence, evidence_by_kind
@@ -29,49 +29,50 @@ FEWEST = 3
 """Fewest scenes that are simulated, however long they take: the seconds of the first do not count, as it also loads
 compiled code, and two show how different scenes are."""
 
+MOST = 32
+"""Most scenes that are simulated, whose samples are kept until they are written: their objects show enough."""
+
 Range = tuple[float, float, float]
 """Least value, mean and greatest value."""
 
 
 @dataclass(frozen=True)
-class SceneCost:
-    """What one scene took and made.
+class Pilots:
+    """A few scenes of a dataset, simulated and written as by a build.
 
-    seconds : stage → processor seconds. stored : field → bytes on disk, and those of its commit record as "record".
-    parameters : those of its sample: its error, the evidence of its objects, the decisions on effects.
+    seconds : stage → processor seconds, for each scene. parameters : those of the samples: errors, evidence, effects.
+    stored : field → bytes on disk of a scene, mean, and those of its commit record as "record".
+    failed : scene → reason why it could not be made.
     """
 
-    seconds: Mapping[str, float]
-    stored: Mapping[str, int]
-    parameters: Mapping[str, Scalar]
+    seconds: tuple[Mapping[str, float], ...]
+    parameters: tuple[Mapping[str, Scalar], ...]
+    stored: Mapping[str, float]
+    failed: Mapping[int, str]
 
 
 @dataclass(frozen=True)
 class Plan:
     """What a build would take and make.
 
-    simulated : number of scenes that were simulated. failed : scene → reason why it could not be made.
     seconds : stage → processor seconds of a scene, mean over the scenes after the first, which also loads compiled
         code. scene_s : of all stages together.
+    scene_bytes : bytes on disk of all fields of a scene and of its commit record, mean.
     error : relative L2 error of a transient that the simulation claims; NaN if nothing estimates it.
-    stored : field → bytes on disk of a scene, mean. scene_bytes : of all fields and the commit record together.
-    evidence : significance of the objects, by kind. parameters : of the samples that were simulated.
+    evidence : significance of the objects, by kind.
     build_s : wall-clock seconds of the whole build on idle cores, without the start of the workers.
     build_bytes : bytes of all scenes on disk. shard_memory_bytes : memory of the shard that a worker fills.
     """
 
+    pilots: Pilots
     scenes: int
     shards: int
     scenes_per_shard: int
-    simulated: int
-    failed: Mapping[int, str]
     seconds: Mapping[str, float]
     scene_s: Range
+    scene_bytes: float
     error: Range
-    stored: Mapping[str, float]
-    scene_bytes: Range
     evidence: tuple[KindEvidence, ...]
-    parameters: tuple[Mapping[str, Scalar], ...]
     workers: int
     build_s: float
     build_bytes: float
@@ -79,13 +80,16 @@ class Plan:
 
     def as_json(self) -> dict[str, Any]:
         """The plan as plain values for JSON, with None in place of NaN."""
-        return dict(finite({name: value for name, value in asdict(self).items() if name != "parameters"}))
+        values = {name: value for name, value in asdict(self).items() if name != "pilots"}
+        of = self.pilots
+        return dict(finite({**values, "simulated": len(of.parameters), "stored": of.stored, "failed": of.failed}))
 
 
 def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS) -> Plan:
     """The plan of a build with `workers` processes on this machine.
 
-    Whole scenes are simulated, the first ones of the dataset, until `seconds` have passed, but at least `FEWEST`.
+    Whole scenes are simulated, the first ones of the dataset, until `seconds` have passed, but at least `FEWEST` and
+    at most `MOST`.
 
     Raises
     ------
@@ -97,80 +101,78 @@ def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS
         raise InputError(f"--seconds {seconds:g}: must be > 0, such as {SECONDS:g}")
     config = with_exposure_found(config)
     check_inputs(config)
-    return planned(config, *simulated_scenes(config, seconds), workers, cores())
+    return planned(config, simulated_scenes(config, seconds), workers, cores())
 
 
-def simulated_scenes(config: DatasetConfig, seconds: float) -> tuple[list[SceneCost], dict[int, str]]:
-    """The costs of the first scenes of a dataset, and scene → reason of those that could not be made."""
-    costs, failed = list[SceneCost](), dict[int, str]()
-    # With one scene in each shard a scene's bytes are those of its files.
-    alone = config.model_copy(update={"store": config.store.model_copy(update={"scenes_per_shard": 1})})
+def simulated_scenes(config: DatasetConfig, seconds: float) -> Pilots:
+    """The first scenes of a dataset, simulated until `seconds` have passed."""
+    made, taken = list[tuple[int, Sample | str]](), list[Mapping[str, float]]()
+    began = time.perf_counter()
+    for index in range(min(config.scenes, MOST)):
+        if index >= FEWEST and time.perf_counter() - began > seconds:
+            break
+        begun, begun_s = time.perf_counter(), time.process_time()
+        try:
+            sample = simulate_sample(config, index)
+        except InputError as refusal:
+            made.append((index, str(refusal)))
+            continue
+        # Of a machine that others use, too, a scene has a share only: its processor seconds are those of a core.
+        busy = (time.process_time() - begun_s) / (time.perf_counter() - begun)
+        taken.append({stage: busy * stage_s for stage, stage_s in sample.seconds.items()})
+        made.append((index, sample))
+    return _written(config, made, taken)
+
+
+def _written(
+    config: DatasetConfig, made: Sequence[tuple[int, Sample | str]], taken: Sequence[Mapping[str, float]]
+) -> Pilots:
+    """The pilots whose samples or reasons for failures are given, written in shards as by the build."""
+    per_shard = min(schema_of(config).scenes_per_shard, len(made))
+    store = config.store.model_copy(update={"scenes_per_shard": per_shard})
     with tempfile.TemporaryDirectory(prefix="datagen-plan-") as folder:
-        manifest = prepare(Path(folder), alone)
-        began = time.perf_counter()
-        for index in range(config.scenes):
-            if index >= FEWEST and time.perf_counter() - began > seconds:
-                break
-            begun, begun_s = time.perf_counter(), time.process_time()
-            try:
-                sample = simulate_sample(config, index)
-            except InputError as refusal:
-                failed[index] = str(refusal)
-                continue
-            # Of a machine that others use, too, a scene has a share only: its processor seconds are those of a core.
-            busy = (time.process_time() - begun_s) / (time.perf_counter() - begun)
-            made = {stage: busy * taken for stage, taken in sample.seconds.items()}
-            try:
-                costs.append(_written(Path(folder), manifest, index, sample, made))
-            except InputError as refusal:
-                failed[index] = str(refusal)
-    if not costs:
-        scene, reason = next(iter(failed.items()))
-        raise InputError(f"none of the first {len(failed)} scenes can be made; scene {scene}: {reason}")
-    return costs, failed
+        manifest = prepare(Path(folder), config.with_scenes(len(made)).model_copy(update={"store": store}))
+        schema = manifest.schema
+        shards = [[made[k] for k in schema.scenes_of(shard)] for shard in range(schema.shards)]
+        # The first of two times loads what writing needs, as the first scene does.
+        for _ in range(2):
+            begun_s = time.process_time()
+            records = [
+                write_shard(Path(folder), schema, k, manifest.fingerprint, shard) for k, shard in enumerate(shards)
+            ]
+            store_s = (time.process_time() - begun_s) / len(made)
+    failed = {index: reason for record in records for index, reason in record.failures.items()}
+    if len(failed) == len(made):
+        raise InputError(f"none of the first {len(made)} scenes can be made; scene 0: {failed[0]}")
+    files = [(path, file.bytes) for record in records for path, file in record.files.items()]
+    number = len(made) - len(failed)
+    stored = {of.name: sum(size for path, size in files if f"/{of.name}/" in path) / number for of in schema.fields}
+    stored["record"] = sum(len(record.to_bytes()) for record in records) / number
+    parameters = tuple(scene.parameters for record in records for scene in record.scenes if scene.failure is None)
+    return Pilots(tuple({**stages, "store": store_s} for stages in taken), parameters, stored, failed)
 
 
-def _written(root: Path, manifest: Manifest, index: int, sample: Sample, seconds: Mapping[str, float]) -> SceneCost:
-    """The cost of a sample that took `seconds`, with that of writing it. Raises `InputError` if it cannot be."""
-    begun_s = time.process_time()
-    record = write_shard(root, manifest.schema, index, manifest.fingerprint, [(index, sample)])
-    if index in record.failures:
-        raise InputError(record.failures[index])
-    store_s = time.process_time() - begun_s
-    stored = {
-        field.name: sum(file.bytes for path, file in record.files.items() if f"/{field.name}/" in path)
-        for field in manifest.schema.fields
-    }
-    return SceneCost({**seconds, "store": store_s}, stored | {"record": len(record.to_bytes())}, sample.parameters)
-
-
-def planned(
-    config: DatasetConfig, costs: Sequence[SceneCost], failed: Mapping[int, str], workers: int, machine_cores: int
-) -> Plan:
-    """The plan that follows from the costs of a few scenes: each worker makes its share of the scenes one after
-    another, and workers beyond the number of cores share these."""
+def planned(config: DatasetConfig, pilots: Pilots, workers: int, machine_cores: int) -> Plan:
+    """The plan that follows from pilots: each worker makes its share of the scenes one after another, and workers
+    beyond the number of cores share these."""
     schema = schema_of(config)
-    timed = [cost.seconds for cost in (costs[1:] or costs)]
-    seconds = {stage: statistics.fmean(of.get(stage, 0.0) for of in timed) for stage in timed[0]}
-    errors = [float(cost.parameters.get("transient.relative_error", math.nan)) for cost in costs]
-    scene_s, scene_bytes = _range([sum(of.values()) for of in timed]), _range([sum(c.stored.values()) for c in costs])
+    timed = pilots.seconds[1:] or pilots.seconds
+    errors = [float(of.get("transient.relative_error", math.nan)) for of in pilots.parameters]
+    scene_s, scene_bytes = _range([sum(stages.values()) for stages in timed]), sum(pilots.stored.values())
     working = min(workers, config.scenes)
     return Plan(
+        pilots=pilots,
         scenes=config.scenes,
         shards=schema.shards,
         scenes_per_shard=schema.scenes_per_shard,
-        simulated=len(costs),
-        failed=failed,
-        seconds=seconds,
+        seconds={stage: statistics.fmean(of.get(stage, 0.0) for of in timed) for stage in timed[0]},
         scene_s=scene_s,
-        error=_range([error for error in errors if math.isfinite(error)]),
-        stored={name: statistics.fmean(cost.stored[name] for cost in costs) for name in costs[0].stored},
         scene_bytes=scene_bytes,
-        evidence=tuple(evidence_by_kind(cost.parameters for cost in costs)),
-        parameters=tuple(cost.parameters for cost in costs),
+        error=_range([error for error in errors if math.isfinite(error)]),
+        evidence=tuple(evidence_by_kind(pilots.parameters)),
         workers=workers,
         build_s=max(1.0, working / machine_cores) * math.ceil(config.scenes / working) * scene_s[1],
-        build_bytes=config.scenes * scene_bytes[1],
+        build_bytes=config.scenes * scene_bytes,
         shard_memory_bytes=schema.scenes_per_shard * schema.bytes_per_scene,
     )
 

@@ -54,7 +54,7 @@ def _configured(config: DatasetConfig) -> Iterator[str]:
     bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
     how = f"aims at an error of {_percent(accuracy.target or 0.0)}"
     if accuracy.target is None:
-        how = f"{accuracy.lookins} hidden vertices a laser point, {accuracy.fov_samples} FoV samples"
+        how = f"{accuracy.lookins} hidden vertices a laser point, {_count(accuracy.fov_samples, 'FoV sample')}"
     named = "" if config.capture.device is None else f" ({config.capture.device.name})"
     lit = _count(lasers, "laser point")
     if config.capture.illumination == "flood":
@@ -73,28 +73,28 @@ def _configured(config: DatasetConfig) -> Iterator[str]:
 
 def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
     """Lines on what a scene takes, stores and shows."""
-    yield f"one scene, mean (and range) of {_count(found.simulated, 'scene')} simulated in full"
-    for scene, reason in found.failed.items():
+    yield f"one scene, mean (and range) of {_count(len(found.pilots.parameters), 'scene')} simulated in full"
+    for scene, reason in found.pilots.failed.items():
         yield f"  scene {scene} cannot be made: {reason}"
     stages = sorted(found.seconds.items(), key=lambda item: -item[1])
-    longest = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in stages if taken >= 0.005 * found.scene_s[1])
+    longest = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in stages if taken >= 0.02 * found.scene_s[1])
     yield f"  time       {_ranged(found.scene_s, duration)} of one core: {longest}"
-    yield f"  disk       {_ranged(found.scene_bytes, _size)}; {readable(schema_of(config).bytes_per_scene)} decoded"
+    yield f"  disk       {_size(found.scene_bytes)}; {readable(schema_of(config).bytes_per_scene)} decoded"
     if math.isnan(found.error[1]):
         yield "  error      not known: with 1 replicate nothing estimates it; set transport.replicates to 2 or more"
     else:
         yield f"  error      {_ranged(found.error, _percent)} of a transient (relative L2), claimed by the simulation"
-    of = found.parameters[0]
+    of = found.pilots.parameters[0]
     yield (
         f"  detector   PDE {of['detector.pde']:.3g}, {of['exposure.cycles']} cycles at "
-        f"{float(of['exposure.repetition_rate_hz']) / 1e6:.3g} MHz; brightest histogram of scene 0: "
+        f"{float(of['exposure.repetition_rate_hz']) / 1e6:.3g} MHz; brightest histogram of the first scene: "
         f"{of['sampler.flux_per_cycle']:.2g} events a cycle, {of['sampler.detections']:.2g} detections"
     )
-    samplers = Counter(str(each["sampler.name"]) for each in found.parameters)
+    samplers = Counter(str(each["sampler.name"]) for each in found.pilots.parameters)
     yield f"  counts     drawn by the sampler {', '.join(f'{name} ({n})' for name, n in samplers.items())}"
     for number, line in enumerate(evidence_lines(found.evidence)):
         yield f"  {'' if number else 'evidence':11}{line}"
-    yield from (f"  {line}" for line in effect_lines(found.parameters))
+    yield from (f"  {line}" for line in effect_lines(found.pilots.parameters))
 
 
 def _whole_build(found: Plan) -> Iterator[str]:
@@ -113,9 +113,9 @@ def _fields(config: DatasetConfig, found: Plan) -> Iterator[str]:
     yield f"{'field':22}{'one scene':22}{'dtype':9}{'decoded':>10}{'on disk':>10}   (all scenes)"
     for field in schema_of(config).fields:
         shape = " × ".join(map(str, field.shape))
-        decoded, stored = found.scenes * field.bytes_per_scene, found.scenes * found.stored[field.name]
+        decoded, stored = found.scenes * field.bytes_per_scene, found.scenes * found.pilots.stored[field.name]
         yield f"{field.name:22}{shape:22}{field.dtype:9}{readable(decoded):>10}{_size(stored):>10}"
-    yield f"{'commit records':53}{'':>10}{_size(found.scenes * found.stored['record']):>10}"
+    yield f"{'commit records':53}{'':>10}{_size(found.scenes * found.pilots.stored['record']):>10}"
 
 
 def _check_file(path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from datasets import write_dataset
 
 from datagen.building import plan as planning
-from datagen.building.plan import AT_LEAST_S, WORTH, SceneCost, planned, scene_limit, simulated_scenes
+from datagen.building.plan import AT_LEAST_S, WORTH, Pilots, planned, scene_limit, simulated_scenes
 from datagen.building.plan_text import duration
 from datagen.cli import run
 from datagen.config import DatasetConfig, config_from_mapping, load_config
@@ -36,23 +36,20 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def costs(*seconds: float) -> list[SceneCost]:
-    """Costs of scenes that took so many seconds, and stored 100, 101 … bytes."""
-    return [
-        SceneCost({"transport": 0.75 * taken, "store": 0.25 * taken}, {"histogram": 90 + k, "record": 10}, {})
-        for k, taken in enumerate(seconds)
-    ]
+def pilots(*seconds: float) -> Pilots:
+    """Pilots that took so many seconds."""
+    stages = tuple({"transport": 0.75 * taken, "store": 0.25 * taken} for taken in seconds)
+    return Pilots(stages, ({},) * len(seconds), {"histogram": 90.0, "record": 10.0}, {})
 
 
 def test_a_build_is_the_mean_scene_times_their_number() -> None:
     """The seconds of the first scene, which also loads compiled code, are no part of the mean."""
     for scenes in (10, 20):
-        plan = planned(config_from_mapping({"scenes": scenes}), costs(50.0, 1.0, 2.0, 3.0), {}, 1, 2)
+        plan = planned(config_from_mapping({"scenes": scenes}), pilots(50.0, 1.0, 2.0, 3.0), 1, 2)
         assert plan.scene_s == (1.0, 2.0, 3.0)
         assert plan.seconds == {"transport": 1.5, "store": 0.5}
-        assert plan.scene_bytes == (100, 101.5, 103) and plan.stored == {"histogram": 91.5, "record": 10}
-        assert (plan.build_s, plan.build_bytes) == (2.0 * scenes, 101.5 * scenes)
-    assert planned(config_from_mapping({"scenes": 1}), costs(50.0), {}, 1, 2).build_s == 50.0
+        assert (plan.build_s, plan.build_bytes) == (2.0 * scenes, 100.0 * scenes)
+    assert planned(config_from_mapping({"scenes": 1}), pilots(50.0), 1, 2).build_s == 50.0
 
 
 @pytest.mark.parametrize("workers", [1, 2, 3, 7])
@@ -60,7 +57,7 @@ def test_a_build_is_the_mean_scene_times_their_number() -> None:
 def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: int, workers: int) -> None:
     """Against a plain simulation of the queue, in which the scenes of the last shards are jobs of their own."""
     config = config_from_mapping({"scenes": scenes, "store": {"scenes_per_shard": 4}})
-    plan = planned(config, costs(3.0), {}, workers, 8)
+    plan = planned(config, pilots(3.0), workers, 8)
     jobs: list[int] = []
     for shard in range(plan.shards):
         number = min(4, scenes - 4 * shard)
@@ -70,28 +67,27 @@ def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: 
         heapq.heappush(free, heapq.heappop(free) + 3.0 * number)
     assert plan.build_s == pytest.approx(max(free))
     # More workers than cores share these.
-    assert planned(config, costs(3.0), {}, workers, 1).build_s == pytest.approx(len(free) * plan.build_s)
+    assert planned(config, pilots(3.0), workers, 1).build_s == pytest.approx(len(free) * plan.build_s)
 
 
 def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Path) -> None:
     """Bytes, errors, evidence and decisions are the dataset's."""
     settings = load_config(config)
-    found, failed = simulated_scenes(settings, 1e6)
+    found = simulated_scenes(settings, 1e6)
     root = write_dataset(settings, tmp_path / "set")
     records = committed(root, read_manifest(root))
-    assert [cost.parameters for cost in found] == [s.parameters for record in records for s in record.scenes]
-    assert len(found) == 3 and not failed
+    assert found.parameters == tuple(scene.parameters for record in records for scene in record.scenes)
+    assert len(found.seconds) == 3 and not found.failed
     for field in read_manifest(root).schema.fields:
         files = sum(of.bytes for r in records for path, of in r.files.items() if f"/{field.name}/" in path)
-        # A shard has an index of its own.
-        assert sum(cost.stored[field.name] for cost in found) == pytest.approx(files, abs=3 * 64), field.name
+        assert 3 * found.stored[field.name] == pytest.approx(files), field.name
     kept = sum(len(record.to_bytes()) for record in records)
-    assert sum(cost.stored["record"] for cost in found) == pytest.approx(kept, rel=0.1)
+    assert 3 * found.stored["record"] == pytest.approx(kept, rel=0.05)
 
 
 def test_scenes_are_simulated_until_the_seconds_have_passed_but_three_at_least(config: Path) -> None:
-    assert len(simulated_scenes(load_config(config).with_scenes(9), 1e-9)[0]) == 3
-    assert len(simulated_scenes(load_config(config).with_scenes(1), 1e6)[0]) == 1
+    assert len(simulated_scenes(load_config(config).with_scenes(9), 1e-9).seconds) == 3
+    assert len(simulated_scenes(load_config(config).with_scenes(1), 1e6).seconds) == 1
 
 
 def test_a_scene_that_cannot_be_made_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,8 +100,8 @@ def test_a_scene_that_cannot_be_made_is_named(config: Path, monkeypatch: pytest.
 
     monkeypatch.setattr(planning, "simulate_sample", refuse)
     settings = load_config(config)
-    found, failed = simulated_scenes(settings, 1e6)
-    assert len(found) == 1 and failed == {0: "impossible", 2: "impossible"}
+    found = simulated_scenes(settings, 1e6)
+    assert len(found.seconds) == len(found.parameters) == 1 and found.failed == {0: "impossible", 2: "impossible"}
     impossible |= {1}
     with pytest.raises(InputError, match="none of the first 3 scenes can be made; scene 0: impossible"):
         simulated_scenes(settings, 1e6)
@@ -161,6 +157,6 @@ def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.Mon
     with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
         scene_limit("soon", config)
     for longest, limit in ((0.01, AT_LEAST_S), (60.0, 60.0 * WORTH)):
-        plan = planned(config, costs(0.0, 0.001, longest), {}, 1, 1)
+        plan = planned(config, pilots(0.0, 0.001, longest), 1, 1)
         monkeypatch.setattr(planning, "plan_build", lambda _, plan=plan: plan)
         assert scene_limit("forecast", config) == limit
