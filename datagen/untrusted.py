@@ -31,8 +31,8 @@ MOST_PACKED = 50
 """Largest ratio of decoded bytes to stored ones. Recorded histograms and tables reach 7, mostly empty ones some
 30."""
 DEFLATE_REACHES = 1100
-"""Ratio that deflate stays below: 1032. A scan with a photon or two a pixel comes close to it as a capture of y-tal
-or MATLAB, so for those it is the bound: what declares more is not in the file."""
+"""Ratio that deflate stays below: it reaches 1032. A scan with a photon or two a pixel comes close to it as a capture
+of y-tal or MATLAB, so for those it is the bound: what declares more is not in the file."""
 ALWAYS_BYTES = 4 * 2**20
 """Decoded bytes that are read whatever that ratio is: they harm nobody, and a file of zeros is small."""
 _MOST_HEAD_BYTES = 10_000
