@@ -14,7 +14,7 @@ from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, tim
 from datagen.config.capture import TimeConfig
 from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
-from datagen.config.scene_contents import MeshItem
+from datagen.config.scene_contents import MeshFolder, MeshItem
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -129,8 +129,10 @@ class Manifest:
             if due is None:
                 raise DamagedManifest(f"{MANIFEST}: meshes: has no digest of {named}; {REMEDY}")
             remedy = f"put the one of SHA-256 {due} there, from which the dataset was made"
+            # What is no plain file, such as a device, may have no end.
+            is_there = item.place.is_dir() if isinstance(item, MeshFolder) else item.place.is_file()
             try:
-                now = item.digest() if item.place.exists() else None
+                now = item.digest() if is_there else None
             except OSError as error:
                 raise InputError(f"{named}: {item.place}: cannot be read ({error.strerror or error})") from None
             if now is None:
