@@ -106,7 +106,7 @@ class DetectorConfig(Settings):
     """Left out: always on."""
     repetition_rate_mhz: Annotated[Distribution, within(0, open_low=True)] | None = None
     """Laser pulses per microsecond. Left out: 10."""
-    cycles: Annotated[Distribution, within(1, 2**53)] = 1e6
+    cycles: Annotated[Distribution, within(1, 2**40)] = 1e6
     """Laser pulses in one exposure; rounded to a whole number."""
     exposure_for: ExposureFor | None = None
     """Instead of `cycles`: one number of cycles for the whole dataset, found by pilot scenes."""
