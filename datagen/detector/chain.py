@@ -8,10 +8,11 @@ probability q_i = −expm1(−λ_i), at a cost that does not depend on the numbe
 from __future__ import annotations
 
 import numpy as np
+from numpy.random import Generator
 
 from datagen.compiled import compiled
 from datagen.detector.dead_time import Equilibrium, Pieces, fires_early
-from datagen.detector.random_numbers import Stream, binomial, exponential
+from datagen.detector.random_numbers import binomial
 from datagen.records.arrays import Floats, Ints
 
 _RUN_CYCLES = 64
@@ -20,23 +21,22 @@ error doubles, and the time is halved."""
 
 
 @compiled()
-def draw_in_order(flux: Floats, edges: Floats, dead_time: float, cycles: int, streams: Stream) -> Ints:
+def draw_in_order(flux: Floats, edges: Floats, dead_time: float, cycles: int, rng: Generator) -> Ints:
     """(h, n) detections of synchronous detectors with flux (h, n), detection by detection.
 
     R armed cycles fire together at the rate R λ(t): the next detection is where ∫ R dΛ has grown by Exp(1). It leaves
     R − 1 armed cycles until a dead time later. The draw is exact for a dead time of any length; its cost is a passage
     through the bins, and an exponential number for each detection.
 
-    edges : (n + 1,) bin edges, in the unit of `dead_time`; streams : (h, 4), one for each row.
+    edges : (n + 1,) bin edges, in the unit of `dead_time`.
     """
     rows, n = flux.shape
     counts = np.zeros((rows, n), np.int64)
     # Phases at which dead cycles are armed again. They come in the order of detection: first in, first out.
     due = np.empty(256)
     for r in range(rows):
-        stream = streams[r]
         armed, head, tail = float(cycles), 0, 0
-        ahead = exponential(stream)
+        ahead = rng.standard_exponential()
         for i in range(n):
             # The cap keeps products finite; at this flux every armed cycle fires at once in any case.
             events, start, stop = min(flux[r, i], 1e200), edges[i], edges[i + 1]
@@ -67,7 +67,7 @@ def draw_in_order(flux: Floats, edges: Floats, dead_time: float, cycles: int, st
                 t += ahead / (armed * rate)
                 counts[r, i] += 1
                 armed -= 1.0
-                ahead = exponential(stream)
+                ahead = rng.standard_exponential()
                 # A cycle that would return after the end of the period starts the next one armed anyway.
                 if t + dead_time < edges[n]:
                     if tail == len(due):
@@ -82,7 +82,7 @@ def draw_in_order(flux: Floats, edges: Floats, dead_time: float, cycles: int, st
 
 
 @compiled()
-def draw_hazard_chain(flux: Floats, cycles: int, stream: Stream) -> Ints:
+def draw_hazard_chain(flux: Floats, cycles: int, rng: Generator) -> Ints:
     """(n,) counts with at most one detection in a cycle: n_i ~ Binomial(R, q_i), R ← R − n_i, from R = `cycles`.
 
     The law is the multinomial with p_i = q_i exp(−Λ_{i−1}), but no rounding can push a sum of probabilities beyond 1.
@@ -91,13 +91,13 @@ def draw_hazard_chain(flux: Floats, cycles: int, stream: Stream) -> Ints:
     counts = np.zeros(len(flux), np.int64)
     left = cycles
     for i in range(len(flux)):
-        counts[i] = binomial(left, -np.expm1(-flux[i]), stream)
+        counts[i] = binomial(left, -np.expm1(-flux[i]), rng)
         left -= counts[i]
     return counts
 
 
 @compiled()
-def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) -> Ints:
+def draw_return_chain(pieces: Pieces, bins: int, cycles: int, rng: Generator) -> Ints:
     """(bins,) counts with several detections in a cycle: a cycle that fired is armed again after the dead time.
 
     A detection is uniform within its piece (`dead_time.PIECE_FLUX` keeps this error small), so its return is uniform
@@ -115,7 +115,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
     armed = cycles
     for i in range(n):
         armed += arming[i]
-        fired = binomial(armed, fires[i], stream)
+        fired = binomial(armed, fires[i], rng)
         armed -= fired
         # Returning cycles of which an earlier piece decided that they fire here.
         fired += firing[i]
@@ -125,7 +125,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
         # The return lies after the end of the period, where every cycle is armed afresh.
         if first[i] == n:
             continue
-        left = binomial(fired, soon[i], stream)
+        left = binomial(fired, soon[i], rng)
         arming[after[i]] += fired - left
         if left == 0:
             continue
@@ -133,7 +133,7 @@ def draw_return_chain(pieces: Pieces, bins: int, cycles: int, stream: Stream) ->
         rest = soon[i]
         count = _hazards(edges[i] + dead_time, edges[i + 1] + dead_time, first[i], flux, fires, edges, hazards)
         for k in range(count):
-            again = left if k == count - 1 else binomial(left, hazards[k] / rest, stream)
+            again = left if k == count - 1 else binomial(left, hazards[k] / rest, rng)
             firing[first[i] + k] += again
             left -= again
             rest -= hazards[k]
@@ -194,7 +194,7 @@ def _hazards(start: float, stop: float, first: int, flux: Floats, fires: Floats,
             return k
 
 
-def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Ints:
+def draw_cycle_ensemble(state: Equilibrium, cycles: int, rng: Generator) -> Ints:
     """(n,) free-running counts at a cost that does not depend on the exposure; exact in the mean only.
 
     The exposure is split into independent runs of `_RUN_CYCLES` cycles (more if the dead time spans cycles), each of
@@ -219,7 +219,7 @@ def draw_cycle_ensemble(state: Equilibrium, cycles: int, stream: Stream) -> Ints
             np.concatenate([before_edges, later.reshape(-1)]),
             pieces.dead_time,
         )
-        counts += draw_return_chain(long, bins + 1, many, stream)[:bins]
+        counts += draw_return_chain(long, bins + 1, many, rng)[:bins]
     return counts
 
 

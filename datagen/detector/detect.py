@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
@@ -18,7 +19,7 @@ from datagen.detector.expected import (
     saturated_mean,
 )
 from datagen.detector.measurement import Measurement, merged
-from datagen.detector.random_numbers import Stream, draw_poisson, streams_of
+from datagen.detector.random_numbers import draw_poisson, generator_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -31,7 +32,7 @@ Counts = NDArray[np.integer]
 
 def detect(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
-    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> Counts:  # fmt: skip
     """Counts after an exposure, the shape of `transient` (with `Spad.bins_merged` bins added up to one).
@@ -45,11 +46,11 @@ def detect(
     ----------
     transient : (laser, pixel, bin) or (bin,); expected photons at the aperture per emitted photon and bin. Light
         outside the time axis is not modelled: a direct return before its start causes no dead time.
-    seed : fixes every count, together with the numbers of laser point and pixel.
+    seed : fixes every count of the call.
     tolerance : relative bias that a cheaper sampler may have; with 0 every sampler is exact.
     approximate : whether a sampler whose mean alone is exact may be taken where the exact one would take too long.
-    first_laser, first_pixel : numbers of the first laser point and pixel when `transient` is a block of a larger one;
-        the counts are then those of that block. Crosstalk needs all pixels of the array at once.
+    first_pixel : number of the first pixel, where `transient` has some of an array's pixels, each with its own dark
+        counts and TDC bins. Crosstalk needs all pixels of the array at once.
     dtype : integer type of the counts; one too small for them raises.
 
     Raises
@@ -68,14 +69,14 @@ def detect(
     ((4,), 'int64', True)
     """
     return detect_and_choice(
-        transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
+        transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate,
         first_pixel=first_pixel, dtype=dtype,
     )[0]  # fmt: skip
 
 
 def detect_and_choice(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
-    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """The results of `detect` and of `choose_sampler`, for which the flux is computed once."""
@@ -88,16 +89,16 @@ def detect_and_choice(
         ) from None
     if kind.kind not in "iu":
         raise InputError(f"detect: dtype {kind} given; counts need an integer type such as int64 or uint16")
-    measured = Measurement.of(transient, time, spad, exposure, first_laser, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     lasers, pixels, bins = measured.transient.shape
-    streams = streams_of(seed, first_laser + np.arange(lasers)[:, None], first_pixel + np.arange(pixels))
+    rng = generator_of(seed)
     counts = np.empty((lasers * pixels, bins // spad.bins_merged), kind)
     limit = np.iinfo(kind).max
     choices: list[Choices] = []
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
         chosen = _choose_block(measured, first, flux, tolerance, approximate)
-        drawn = merged(_draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows]), spad)
+        drawn = merged(_draw_block(measured, first, flux, chosen, rng), spad)
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -148,7 +149,7 @@ def expected_histogram(
     [0.0, 50000.0, 100000.0, 0.0]
     [0.0, 48771.0, 90521.0, 0.0]
     """
-    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     if not approximate and not has_exact_mean(spad, measured.transient.shape[1]):
         raise InputError(
             "expected_histogram: afterpulsing or crosstalk together with a dead time has no exact mean in closed "
@@ -171,7 +172,7 @@ def choose_sampler(
 
     Raises `InputError` where `detect` would refuse.
     """
-    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     blocks = [_choose_block(measured, *block, tolerance, approximate) for block in measured.fluxes()]
     return summarise(blocks, spad, tolerance)
 
@@ -184,8 +185,8 @@ def _choose_block(
     _, pixels, n = flux.shape
     spad, others = measured.spad, (measured.exposure, tolerance, approximate)
     if measured.coupled:
-        number, together = measured.first_laser + first_laser, flux.sum(axis=1)
-        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {number + row}")
+        together = flux.sum(axis=1)
+        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {first_laser + row}")
         return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
     # A single pixel has no neighbours.
     alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
@@ -193,8 +194,8 @@ def _choose_block(
     return choose(flux.reshape(-1, n), measured.cycle, alone, *others, lambda row: measured.where(first + row))
 
 
-def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, streams: Stream) -> Ints:
-    """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
+def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, rng: Generator) -> Ints:
+    """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n)."""
     spad, cycles = measured.spad, measured.exposure.cycles
     _, pixels, n = flux.shape
     values = flux.reshape(-1, n)
@@ -203,40 +204,37 @@ def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: 
     if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
         mean, numbers = measured.tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
-        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
+        out[rows] = draw_poisson(mean, rng, lambda row: measured.where(numbers[row]))
     if len(rows := np.flatnonzero(~poisson & choices.in_order)):
-        own, (cycle, tdc) = streams[rows], measured.finer
-        detections = draw_in_order(measured.in_finer(values[rows]), cycle.edges_s, spad.dead_time_s, cycles, own)
-        out[rows] = tdc.draw(detections, own, rows % pixels)
+        cycle, tdc = measured.finer
+        detections = draw_in_order(measured.in_finer(values[rows]), cycle.edges_s, spad.dead_time_s, cycles, rng)
+        out[rows] = tdc.draw(detections, rng, rows % pixels)
     if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
-        own, (cycle, tdc), finer = streams[rows], measured.finer, measured.in_finer(values[rows])
+        (cycle, tdc), finer = measured.finer, measured.in_finer(values[rows])
         if measured.coupled:
-            # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to
-            # draw that pixel's jitter.
-            each = [slice(k, k + pixels) for k in range(0, len(own), pixels)]
-            joint = [draw_avalanches(finer[k], cycle, spad, cycles, own[k.start]) for k in each]
-            detections = np.concatenate(joint)
+            each = finer.reshape(-1, pixels, finer.shape[-1])
+            detections = np.concatenate([draw_avalanches(one, cycle, spad, cycles, rng) for one in each])
         else:
-            alone = zip(finer, choices.sampler[rows], own, strict=True)
-            detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
-        out[rows] = tdc.draw(detections, own, rows % pixels)
+            alone = zip(finer, choices.sampler[rows], strict=True)
+            detections = np.stack([_draw_one(measured, f, Sampler(code), rng) for f, code in alone])
+        out[rows] = tdc.draw(detections, rng, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw_one(measured: Measurement, flux: Floats, sampler: Sampler, stream: Stream) -> Ints:
+def _draw_one(measured: Measurement, flux: Floats, sampler: Sampler, rng: Generator) -> Ints:
     """(m,) detections of one pixel of flux (m,) in `measured.finer`, by a sampler other than Poisson's."""
     cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
     bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
     match sampler:
         case Sampler.HAZARD_CHAIN:
-            return draw_hazard_chain(flux, cycles, stream)
+            return draw_hazard_chain(flux, cycles, rng)
         case Sampler.RETURN_CHAIN:
-            return draw_return_chain(pieces_of(flux, *bins, shorter_than_dead_time=True), len(flux), cycles, stream)
+            return draw_return_chain(pieces_of(flux, *bins, shorter_than_dead_time=True), len(flux), cycles, rng)
         case Sampler.AVALANCHES:
-            return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
+            return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, rng)[0])
         case Sampler.CYCLE_ENSEMBLE:
-            return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, stream)
-    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), stream)
+            return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, rng)
+    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), rng)
 
 
 def _saturate_mean(mean: Floats, flux: Floats, measured: Measurement, approximate: bool) -> Floats:

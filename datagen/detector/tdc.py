@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice
 from datagen.detector.irf import spread
-from datagen.detector.random_numbers import Stream, binomial, uniform
+from datagen.detector.random_numbers import binomial
 from datagen.detector.tdc_bins import TdcBins
 from datagen.records.arrays import Floats, Ints
 
@@ -61,12 +62,12 @@ class Tdc:
         records = [self._mean_in_equal_bins(part) for part in self._by_piece(detections)]
         return self._unequal.mean(self._joined(records), pixels)
 
-    def draw(self, detections: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
-        """(…, bins) records of detections (…, n), multinomial, from streams (…, 4); `pixels` as of `mean`."""
+    def draw(self, detections: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
+        """(…, bins) records of detections (…, n), multinomial; `pixels` as of `mean`."""
         if self._unequal is None:
-            return self._draw_in_equal_bins(detections, streams)
-        records = [self._draw_in_equal_bins(part, streams) for part in self._by_piece(detections)]
-        return self._unequal.draw(self._joined(records), streams, pixels)
+            return self._draw_in_equal_bins(detections, rng)
+        records = [self._draw_in_equal_bins(part, rng) for part in self._by_piece(detections)]
+        return self._unequal.draw(self._joined(records), rng, pixels)
 
     def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
         """For each piece of a bin its (…, n) detections in all bins; whole bins count as the middle one."""
@@ -104,23 +105,22 @@ class Tdc:
                     folded[..., column] += weight * detections[..., -1]
         return folded[..., : cycle.bins]
 
-    def _draw_in_equal_bins(self, detections: Ints, streams: Stream) -> Ints:
+    def _draw_in_equal_bins(self, detections: Ints, rng: Generator) -> Ints:
         """(…, bins) records in bins of the cycle's width."""
         cycle, jitter = self._cycle, self._cycle.after_avalanche
         if jitter.is_identity:
             return detections[..., : cycle.bins]
         ordered = on_lattice(self._without_short(detections), cycle.back, cycle.front)
         rows = np.ascontiguousarray(ordered.reshape(-1, cycle.back + cycle.front))
-        row_streams = streams.reshape(-1, 4)
-        scattered = _scatter(rows, self._likeliest, self._offsets, row_streams)
+        scattered = _scatter(rows, self._likeliest, self._offsets, rng)
         fold = self._fold
         folded = np.zeros((len(rows), fold.bins), np.int64)
         low, high = fold.aligned.start, fold.aligned.stop
         folded[:, low:high] = scattered[:, low - fold.first : high - fold.first]
-        _share_out(scattered, self._fold_rows, self._fold_starts, fold.columns, fold.shares, folded, row_streams)
+        _share_out(scattered, self._fold_rows, self._fold_starts, fold.columns, fold.shares, folded, rng)
         if self._from_short is not None:
             alone = np.ascontiguousarray(detections[..., -1:].reshape(-1, 1))
-            moved = _scatter(alone, self._likeliest, self._offsets, row_streams)
+            moved = _scatter(alone, self._likeliest, self._offsets, rng)
             for column, records in zip(self._from_short, moved.T, strict=True):
                 folded[:, column] += records
         return folded[:, : cycle.bins].reshape(*detections.shape[:-1], cycle.bins)
@@ -135,7 +135,7 @@ class Tdc:
 
 
 @compiled()
-def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> Ints:
+def _scatter(counts: Ints, weights: Floats, offsets: Ints, rng: Generator) -> Ints:
     """(h, n + taps − 1) counts after each of `counts` (h, n) has moved by `offsets[k]` bins with probability
     `weights[k]`. The weights descend and sum to 1.
     """
@@ -144,7 +144,6 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
     out = np.zeros((rows, n + taps - 1), np.int64)
     cumulative = np.cumsum(weights)
     for r in range(rows):
-        stream = streams[r]
         for i in range(n):
             left = counts[r, i]
             if left == 0:
@@ -152,7 +151,7 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
             # A few counts are moved one by one, by a search from the likeliest displacement on.
             if left <= 2 * taps:
                 for _ in range(left):
-                    u, k = uniform(stream) * cumulative[-1], 0
+                    u, k = rng.random() * cumulative[-1], 0
                     while k < taps - 1 and u >= cumulative[k]:
                         k += 1
                     out[r, i + offsets[k]] += 1
@@ -163,7 +162,7 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
                 if left == 0:
                     break
                 share = weights[k] / rest
-                moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, stream)
+                moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, rng)
                 out[r, i + offsets[k]] += moved
                 left -= moved
                 rest -= weights[k]
@@ -172,11 +171,10 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
 
 @compiled()
 def _share_out(
-    counts: Ints, places: Ints, starts: Ints, columns: Ints, shares: Floats, out: Ints, streams: Stream
+    counts: Ints, places: Ints, starts: Ints, columns: Ints, shares: Floats, out: Ints, rng: Generator
 ) -> None:
     """Add `counts[:, places[r]]` to `out`, split at random over the bins `columns[starts[r]:starts[r + 1]]`."""
     for h in range(len(counts)):
-        stream = streams[h]
         for r in range(len(places)):
             # A bin of the lattice that straddles bins of the period is a multinomial over these, as in `_scatter`.
             left, rest = counts[h, places[r]], 1.0
@@ -184,7 +182,7 @@ def _share_out(
                 if left == 0:
                     break
                 share = shares[e] / rest
-                moved = left if share >= 1.0 - 1e-9 else binomial(left, share, stream)
+                moved = left if share >= 1.0 - 1e-9 else binomial(left, share, rng)
                 out[h, columns[e]] += moved
                 left -= moved
                 rest -= shares[e]

@@ -13,11 +13,12 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.special
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, uniform_of_pixels
-from datagen.detector.random_numbers import Stream, binomial
+from datagen.detector.random_numbers import binomial
 from datagen.detector.spad import Spad
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
@@ -152,12 +153,11 @@ class TdcBins:
         _sort_mean(rows, self.from_s, self.to_s, self._edges_of(records, pixels), out)
         return out.reshape(*records.shape[:-1], self.bins)
 
-    def draw(self, records: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
-        """(…, bins) records in the TDC's bins: a multinomial number for each incoming bin, from streams (…, 4)."""
+    def draw(self, records: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
+        """(…, bins) records in the TDC's bins: a multinomial number for each incoming bin."""
         rows = np.ascontiguousarray(records.reshape(-1, records.shape[-1]))
         out = np.zeros((len(rows), self.bins), np.int64)
-        own = streams.reshape(-1, 4)
-        _sort_counts(rows, self.from_s, self.to_s, self._edges_of(records, pixels), own, out)
+        _sort_counts(rows, self.from_s, self.to_s, self._edges_of(records, pixels), rng, out)
         return out.reshape(*records.shape[:-1], self.bins)
 
     def _edges_of(self, records: NDArray[np.generic], pixels: Ints | None) -> Ints:
@@ -194,10 +194,10 @@ def _sort_mean(records: Floats, from_s: Floats, to_s: Floats, row_of: Ints, out:
 
 
 @compiled()
-def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, streams: Stream, out: Ints) -> None:
+def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, rng: Generator, out: Ints) -> None:
     """Add counts `records` (h, m) to the TDC's bins `out` (h, bins), each at random according to the overlap."""
     for h in range(len(records)):
-        edges, j, stream = to_s[row_of[h]], 0, streams[h]
+        edges, j = to_s[row_of[h]], 0
         for i in range(len(from_s) - 1):
             left, low, high = records[h, i], from_s[i], from_s[i + 1]
             if left == 0:
@@ -211,7 +211,7 @@ def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, stre
                 share = _overlap(low, high, edges, k)
                 moved = left
                 if edges[k + 1] < high and share < rest:
-                    moved = binomial(left, share / rest, stream)
+                    moved = binomial(left, share / rest, rng)
                 out[h, k] += moved
                 left -= moved
                 rest -= share

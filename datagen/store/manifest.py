@@ -197,16 +197,17 @@ def read_manifest(root: str | Location) -> Manifest:
         stated = parsed(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
-    if "format" not in stated:
+    number = stated.get("format")
+    if type(number) is not int:
         raise DamagedManifest(
-            f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made"
+            f"{path}: is not the manifest of a datagen dataset (format = {shown(number)}, this datagen reads format "
+            f"{FORMAT}); name a folder that `datagen build` made"
         )
     if not is_intact(content):
         raise DamagedManifest(f"{path}: has changed since it was written (its checksum differs); {REMEDY}")
-    if stated["format"] != FORMAT:
+    if number != FORMAT:
         raise InputError(
-            f"{path}: format = {shown(stated['format'])}, this datagen reads format {FORMAT}; use the version of "
-            "datagen that made it"
+            f"{path}: format = {number}, this datagen reads format {FORMAT}; use the version of datagen that made it"
         )
     try:
         return _manifest_of(parsed(path, content, _File), stated)

@@ -14,7 +14,7 @@ from datagen.detector.events import draw_avalanches, draw_free_running
 from datagen.detector.expected import mean_detections
 from datagen.detector.flux import Cycle
 from datagen.detector.irf import IDENTITY
-from datagen.detector.random_numbers import streams_of
+from datagen.detector.random_numbers import generator_of
 
 FLUXES = (0.01, 0.1, 1.0, 4.0)
 BINS, WIDTH = 20, 1e-9
@@ -48,7 +48,7 @@ def truth(flux, rule, cycles, seed, burn_in=0, gate=None):
 
 
 def drawn(draw, seed):
-    stream = streams_of(seed, 0, 0)[0]
+    stream = generator_of(seed)
     return np.stack([draw(stream) for _ in range(REPLICATES)])
 
 
@@ -122,7 +122,7 @@ def test_crosstalk_couples_neighbours(mode, length):
     lam = np.stack([shape_of(2.0 if p == 0 else 0.05 * p) for p in range(6)])
     spad = Spad(dead_time_s=tau, mode=mode, crosstalk_probability=0.15, array_columns=3)
     rule = Rule(tau, synchronous=mode == "synchronous", crosstalk=0.15, columns=3)
-    stream = streams_of(seeds[0], 0, 0)[0]
+    stream = generator_of(seeds[0])
     got = np.stack([draw_avalanches(lam, cycle_of_test(), spad, cycles, stream) for _ in range(REPLICATES)])
     want = simulate(lam, EDGES, cycles, rule, np.random.default_rng(seeds[1]), REPLICATES, 40)
     # Five bins a histogram keep the 30 columns testable together.
