@@ -7,9 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
-from datagen.detector.dead_time import START_TOLERANCE, equilibrium, pieces_of
-from datagen.detector.events import draw_avalanches, draw_free_running
+from datagen.detector.chain import draw_chain
+from datagen.detector.events import draw_events
 from datagen.detector.expected import (
     counts_are_binomial,
     counts_are_poisson,
@@ -195,48 +194,40 @@ def _choose_block(
 
 def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, streams: Stream) -> Ints:
     """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
-    spad, cycles = measured.spad, measured.exposure.cycles
-    _, pixels, n = flux.shape
-    values = flux.reshape(-1, n)
+    spad, cycles, (cycle, tdc) = measured.spad, measured.exposure.cycles, measured.finer
+    pixels = flux.shape[1]
+    values = flux.reshape(-1, flux.shape[2])
     out = np.empty((len(values), measured.cycle.bins), np.int64)
-    poisson = choices.sampler == Sampler.POISSON
-    if len(rows := np.flatnonzero(poisson)):
+    mean = np.empty(out.shape)
+    if len(rows := np.flatnonzero(choices.sampler == Sampler.POISSON)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
-        mean, numbers = measured.tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
-        out[rows] = draw_poisson(mean, streams[rows], lambda row: measured.where(numbers[row]))
-    if len(rows := np.flatnonzero(~poisson & choices.in_order)):
-        own, (cycle, tdc) = streams[rows], measured.finer
-        detections = draw_in_order(measured.in_finer(values[rows]), cycle.edges_s, spad.dead_time_s, cycles, own)
-        out[rows] = tdc.draw(detections, own, rows % pixels)
-    if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
-        own, (cycle, tdc), finer = streams[rows], measured.finer, measured.in_finer(values[rows])
-        if measured.coupled:
-            # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to
-            # draw that pixel's jitter.
-            each = [slice(k, k + pixels) for k in range(0, len(own), pixels)]
-            joint = [draw_avalanches(finer[k], cycle, spad, cycles, own[k.start]) for k in each]
-            detections = np.concatenate(joint)
-        else:
-            alone = zip(finer, choices.sampler[rows], own, strict=True)
-            detections = np.stack([_draw_one(measured, f, Sampler(code), stream) for f, code, stream in alone])
-        out[rows] = tdc.draw(detections, own, rows % pixels)
+        mean[rows] = measured.tdc.mean(cycles * values[rows], rows % pixels)
+    step = pixels if measured.coupled else 1
+    if len(rows := np.flatnonzero(choices.sampler == Sampler.POISSON_OF_MEAN)):
+        together = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
+        detections = np.concatenate([mean_detections(own, cycle, spad) for own in together])
+        mean[rows] = tdc.mean(cycles * detections, rows % pixels)
+    is_poisson = np.isin(choices.sampler, (Sampler.POISSON, Sampler.POISSON_OF_MEAN))
+    if len(rows := np.flatnonzero(is_poisson)):
+        numbers = first_laser * pixels + rows
+        out[rows] = draw_poisson(mean[rows], streams[rows], lambda row: measured.where(numbers[row]))
+    if len(rows := np.flatnonzero(~is_poisson)):
+        # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to draw
+        # that pixel's jitter.
+        own, finer = streams[rows], measured.in_finer(values[rows])
+        each = [slice(k, k + step) for k in range(0, len(rows), step)]
+        drawn = [_draw(measured, finer[k], Sampler(choices.sampler[rows[k.start]]), own[k.start]) for k in each]
+        out[rows] = tdc.draw(np.concatenate(drawn), own, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw_one(measured: Measurement, flux: Floats, sampler: Sampler, stream: Stream) -> Ints:
-    """(m,) detections of one pixel of flux (m,) in `measured.finer`, by a sampler other than Poisson's."""
+def _draw(measured: Measurement, flux: Floats, sampler: Sampler, stream: Stream) -> Ints:
+    """(pixel, m) detections of one pixel, or of those that crosstalk couples, with flux (pixel, m) in
+    `measured.finer`; by a sampler other than Poisson's."""
     cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
-    bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
-    match sampler:
-        case Sampler.HAZARD_CHAIN:
-            return draw_hazard_chain(flux, cycles, stream)
-        case Sampler.RETURN_CHAIN:
-            return draw_return_chain(pieces_of(flux, *bins, shorter_than_dead_time=True), len(flux), cycles, stream)
-        case Sampler.AVALANCHES:
-            return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, stream)[0])
-        case Sampler.CYCLE_ENSEMBLE:
-            return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, stream)
-    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), stream)
+    if sampler == Sampler.CHAIN:
+        return draw_chain(flux[0], cycle, spad.dead_time_s, cycles, stream)[None]
+    return draw_events(flux, cycle, spad, cycles, stream)
 
 
 def _saturate_mean(mean: Floats, flux: Floats, measured: Measurement, approximate: bool) -> Floats:

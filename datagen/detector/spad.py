@@ -25,7 +25,7 @@ Mode = Literal["ideal", "synchronous", "free_running"]
 `free_running`: armed whenever the dead time is over, whatever the laser does."""
 
 MAX_CYCLES = 2**53
-"""Most laser cycles of an exposure: float64 holds no larger numbers exactly. Halved, long exposures are refused."""
+"""Most laser cycles of an exposure: float64 holds no larger numbers exactly."""
 
 
 @dataclass(frozen=True)
