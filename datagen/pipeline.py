@@ -166,7 +166,7 @@ def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
     detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
-    of meshes, parts in one place, and zones whose light arrives after the time axis ends.
+    of meshes, and zones whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
@@ -176,7 +176,7 @@ def check_inputs(config: DatasetConfig) -> None:
     dark = np.zeros((1, *capture.shape[1:]))
     tolerance, approximate = config.detector.tolerance, config.detector.approximate
     choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in (*_most_likely_not_meant(config), *parts_in_one_place(tried), *_too_late(config, tried)):
+    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried)):
         warn(warning, InputWarning, stacklevel=3)
 
 
@@ -204,7 +204,10 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
 
 
 def parts_in_one_place(scenes: Iterable[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if parts of one of the first `SCENES_TRIED` scenes lie in one place."""
+    """A warning if parts of one of the first `SCENES_TRIED` scenes, made in Python, lie in one place.
+
+    In rooms that are drawn objects stand on the floor, an open one with a bottom that is lit: this is meant.
+    """
     for index, (scene, capture) in enumerate(islice(scenes, SCENES_TRIED)):
         warning = set_apart(scene, capture).warning
         if warning:

@@ -107,7 +107,7 @@ class DetectorConfig(Settings):
     repetition_rate_mhz: Annotated[Distribution, within(0, open_low=True)] | None = None
     """Laser pulses per microsecond; the time axis must fit between two. Left out: 10, or as many as it leaves room
     for."""
-    cycles: Annotated[Distribution, within(1, 2**53)] = 1e6
+    cycles: Annotated[Distribution, within(1, 2**40)] = 1e6
     """Laser pulses in one exposure; rounded to a whole number."""
     exposure_for: ExposureFor | None = None
     """Instead of `cycles`: one number of cycles for the whole dataset, found by pilot scenes."""

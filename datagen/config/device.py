@@ -222,7 +222,7 @@ class Counting(Settings):
     """Start and width of the gate, nanoseconds after emission; `histogram`: on while the histogram lasts."""
     repetition_rate_mhz: Positive
     """Laser pulses a microsecond."""
-    cycles: Annotated[int, Field(ge=1, le=2**53)]
+    cycles: Annotated[int, Field(ge=1, le=2**40)]
     """Laser pulses of a frame that count in a zone, over all its detectors."""
     photons_per_pulse: Positive
     """Photons that leave the laser in a pulse."""

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.compiled import compiled
+from datagen.detector.flux import cut_edges
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 
@@ -58,62 +59,23 @@ def pieces_of(
 
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges. Raises `InputError` for too many pieces.
     """
-    count = _pieces_per_bin(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, PIECE_FLUX)
-    total = float(count.sum())
-    if not total <= _MOST_PIECES:
+    length, total = np.diff(edges_s), float(flux.sum())
+    most = max(PIECE_FLUX, total / _FLUX_PIECES)
+    is_long = length > 1.5 * width_s
+    # Returns from the bright window fall into a long bin, so that its pieces must also be short beside the dead time.
+    short = np.minimum(np.ceil(4.0 * length / dead_time_s), 4096.0) if dead_time_s > 0.0 else np.ones(len(flux))
+    parts = np.where(is_long, np.maximum(np.ceil(flux / min(_LONG_PIECE_FLUX, most)), short), np.ceil(flux / most))
+    if shorter_than_dead_time:
+        parts = np.maximum(parts, np.ceil(length / dead_time_s * (1.0 + 1e-12)))
+    count = np.maximum(parts, 1.0)
+    if not count.sum() <= _MOST_PIECES:
         raise InputError(
-            f"flux of {flux.sum():g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
-            f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
+            f"flux of {total:g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
+            f"needs {count.sum():g} pieces, at most {_MOST_PIECES}; lower photons_per_pulse or widen the bins"
         )
-    if total == len(flux):
-        # Kernels would be compiled once more for edges that are read-only, as those of a `Cycle` are.
-        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s.copy(), dead_time_s)
-    return Pieces(*_cut_bins(flux, edges_s, count.astype(np.int64)), dead_time_s)
-
-
-@compiled()
-def _pieces_per_bin(
-    flux: Floats, edges: Floats, width: float, dead_time: float, shorter: bool, piece_flux: float
-) -> Floats:
-    """(n,) number of pieces of each bin, as floats, which hold numbers too large to count as well."""
-    most = max(piece_flux, flux.sum() / _FLUX_PIECES)
-    parts = np.ones(len(flux))
-    for i in range(len(flux)):
-        length = edges[i + 1] - edges[i]
-        # Most bins are fine enough and stay whole.
-        is_short = not shorter or length * (1.0 + 1e-12) <= dead_time
-        if is_short and flux[i] <= most and length <= 1.5 * width:
-            continue
-        if length > 1.5 * width:
-            # Returns from the bright window fall into it, so a piece must also be short beside the dead time.
-            part = np.ceil(flux[i] / min(_LONG_PIECE_FLUX, most))
-            if dead_time > 0.0:
-                part = max(part, min(np.ceil(4.0 * length / dead_time), 4096.0))
-        else:
-            part = np.ceil(flux[i] / most)
-        if not is_short:
-            part = max(part, np.ceil(length / dead_time * (1.0 + 1e-12)))
-        parts[i] = max(part, 1.0)
-    return parts
-
-
-@compiled()
-def _cut_bins(flux: Floats, edges: Floats, count: Ints) -> tuple[Floats, Ints, Floats]:
-    """Flux, bin number and edges of the pieces, `count` (n,) of them in each bin."""
-    total = count.sum()
-    pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
-    k = 0
-    for i in range(len(flux)):
-        if count[i] == 1:
-            pieces[k], bin_of[k], cut[k] = flux[i], i, edges[i]
-            k += 1
-            continue
-        length = (edges[i + 1] - edges[i]) / count[i]
-        for part in range(count[i]):
-            pieces[k], bin_of[k], cut[k] = flux[i] / count[i], i, edges[i] + part * length
-            k += 1
-    cut[total] = edges[len(flux)]
-    return pieces, bin_of, cut
+    whole = count.astype(np.int64)
+    bin_of = np.repeat(np.arange(len(flux)), whole)
+    return Pieces((flux / whole)[bin_of], bin_of, cut_edges(edges_s, whole), dead_time_s)
 
 
 def synchronous_mean(flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float) -> Floats:

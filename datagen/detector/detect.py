@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from datagen.detector.chain import draw_chain
@@ -16,8 +17,9 @@ from datagen.detector.expected import (
     mean_detections,
     saturated_mean,
 )
+from datagen.detector.flux import Cycle
 from datagen.detector.measurement import Measurement, merged
-from datagen.detector.random_numbers import Stream, draw_poisson, streams_of
+from datagen.detector.random_numbers import draw_poisson, generator_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -30,7 +32,7 @@ Counts = NDArray[np.integer]
 
 def detect(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
-    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> Counts:  # fmt: skip
     """Counts after an exposure, the shape of `transient` (with `Spad.bins_merged` bins added up to one).
@@ -44,11 +46,11 @@ def detect(
     ----------
     transient : (laser, pixel, bin) or (bin,); expected photons at the aperture per emitted photon and bin. Light
         outside the time axis is not modelled: a direct return before its start causes no dead time.
-    seed : fixes every count, together with the numbers of laser point and pixel.
+    seed : fixes every count of the call.
     tolerance : relative bias that a cheaper sampler may have; with 0 every sampler is exact.
     approximate : whether a sampler whose mean alone is exact may be taken where the exact one would take too long.
-    first_laser, first_pixel : numbers of the first laser point and pixel when `transient` is a block of a larger one;
-        the counts are then those of that block. Crosstalk needs all pixels of the array at once.
+    first_pixel : number of the first pixel, where `transient` has some of an array's pixels, each with its own dark
+        counts and TDC bins. Crosstalk needs all pixels of the array at once.
     dtype : integer type of the counts; one too small for them raises.
 
     Raises
@@ -67,14 +69,14 @@ def detect(
     ((4,), 'int64', True)
     """
     return detect_and_choice(
-        transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate, first_laser=first_laser,
+        transient, time, spad, exposure, seed, tolerance=tolerance, approximate=approximate,
         first_pixel=first_pixel, dtype=dtype,
     )[0]  # fmt: skip
 
 
 def detect_and_choice(
     transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, seed: int = 0, *,
-    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_laser: int = 0, first_pixel: int = 0,
+    tolerance: float = DEFAULT_TOLERANCE, approximate: bool = False, first_pixel: int = 0,
     dtype: DTypeLike = np.int64,
 ) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """The results of `detect` and of `choose_sampler`, for which the flux is computed once."""
@@ -87,16 +89,16 @@ def detect_and_choice(
         ) from None
     if kind.kind not in "iu":
         raise InputError(f"detect: dtype {kind} given; counts need an integer type such as int64 or uint16")
-    measured = Measurement.of(transient, time, spad, exposure, first_laser, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     lasers, pixels, bins = measured.transient.shape
-    streams = streams_of(seed, first_laser + np.arange(lasers)[:, None], first_pixel + np.arange(pixels))
+    rng = generator_of(seed)
     counts = np.empty((lasers * pixels, bins // spad.bins_merged), kind)
     limit = np.iinfo(kind).max
     choices: list[Choices] = []
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
         chosen = _choose_block(measured, first, flux, tolerance, approximate)
-        drawn = merged(_draw_block(measured, first, flux, chosen, streams.reshape(-1, 4)[rows]), spad)
+        drawn = merged(_draw_block(measured, first, flux, chosen, rng), spad)
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -147,7 +149,7 @@ def expected_histogram(
     [0.0, 50000.0, 100000.0, 0.0]
     [0.0, 48771.0, 90521.0, 0.0]
     """
-    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     if not approximate and not has_exact_mean(spad, measured.transient.shape[1]):
         raise InputError(
             "expected_histogram: afterpulsing or crosstalk together with a dead time has no exact mean in closed "
@@ -170,7 +172,7 @@ def choose_sampler(
 
     Raises `InputError` where `detect` would refuse.
     """
-    measured = Measurement.of(transient, time, spad, exposure, 0, first_pixel)
+    measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     blocks = [_choose_block(measured, *block, tolerance, approximate) for block in measured.fluxes()]
     return summarise(blocks, spad, tolerance)
 
@@ -183,8 +185,8 @@ def _choose_block(
     _, pixels, n = flux.shape
     spad, others = measured.spad, (measured.exposure, tolerance, approximate)
     if measured.coupled:
-        number, together = measured.first_laser + first_laser, flux.sum(axis=1)
-        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {number + row}")
+        together = flux.sum(axis=1)
+        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {first_laser + row}")
         return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
     # A single pixel has no neighbours.
     alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
@@ -192,42 +194,41 @@ def _choose_block(
     return choose(flux.reshape(-1, n), measured.cycle, alone, *others, lambda row: measured.where(first + row))
 
 
-def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, streams: Stream) -> Ints:
-    """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n), from streams (h, 4)."""
-    spad, cycles, (cycle, tdc) = measured.spad, measured.exposure.cycles, measured.finer
-    pixels = flux.shape[1]
+def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, rng: Generator) -> Ints:
+    """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n)."""
+    spad, cycles, pixels = measured.spad, measured.exposure.cycles, flux.shape[1]
     values = flux.reshape(-1, flux.shape[2])
     out = np.empty((len(values), measured.cycle.bins), np.int64)
-    mean = np.empty(out.shape)
-    if len(rows := np.flatnonzero(choices.sampler == Sampler.POISSON)):
+    poisson = choices.sampler == Sampler.POISSON
+    if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
-        mean[rows] = measured.tdc.mean(cycles * values[rows], rows % pixels)
-    step = pixels if measured.coupled else 1
-    if len(rows := np.flatnonzero(choices.sampler == Sampler.POISSON_OF_MEAN)):
+        mean, numbers = measured.tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
+        out[rows] = draw_poisson(mean, rng, lambda row: measured.where(numbers[row]))
+    if len(rows := np.flatnonzero(~poisson)):
+        cycle, tdc = measured.finer
+        step = pixels if measured.coupled else 1
         together = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
-        detections = np.concatenate([mean_detections(own, cycle, spad) for own in together])
-        mean[rows] = tdc.mean(cycles * detections, rows % pixels)
-    is_poisson = np.isin(choices.sampler, (Sampler.POISSON, Sampler.POISSON_OF_MEAN))
-    if len(rows := np.flatnonzero(is_poisson)):
-        numbers = first_laser * pixels + rows
-        out[rows] = draw_poisson(mean[rows], streams[rows], lambda row: measured.where(numbers[row]))
-    if len(rows := np.flatnonzero(~is_poisson)):
-        # The joint draw of a laser point takes its numbers from its first pixel's stream, which then goes on to draw
-        # that pixel's jitter.
-        own, finer = streams[rows], measured.in_finer(values[rows])
-        each = [slice(k, k + step) for k in range(0, len(rows), step)]
-        drawn = [_draw(measured, finer[k], Sampler(choices.sampler[rows[k.start]]), own[k.start]) for k in each]
-        out[rows] = tdc.draw(np.concatenate(drawn), own, rows % pixels)
+        each = zip(together, choices.sampler[rows[::step]], strict=True)
+        drawn = [_draw(own, cycle, spad, cycles, Sampler(code), rng) for own, code in each]
+        out[rows] = tdc.draw(np.concatenate(drawn), rng, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw(measured: Measurement, flux: Floats, sampler: Sampler, stream: Stream) -> Ints:
-    """(pixel, m) detections of one pixel, or of those that crosstalk couples, with flux (pixel, m) in
-    `measured.finer`; by a sampler other than Poisson's."""
-    cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
+def _draw(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, sampler: Sampler, rng: Generator) -> Ints:
+    """(pixel, n) detections of one pixel, or of those that crosstalk couples, with flux (pixel, n); not by Poisson's
+    sampler."""
     if sampler == Sampler.CHAIN:
-        return draw_chain(flux[0], cycle, spad.dead_time_s, cycles, stream)[None]
-    return draw_events(flux, cycle, spad, cycles, stream)
+        return draw_chain(flux[0], cycle, spad.dead_time_s, cycles, rng)[None]
+    if sampler == Sampler.EVENTS:
+        return draw_events(flux, cycle, spad, cycles, rng)
+    detections = mean_detections(flux, cycle, spad)
+    total, events = detections.sum(axis=1), flux.sum(axis=1)
+    # What thins events evens them out, too: at a constant rate by the Fano factor 1 / (1 + λτ)² of renewal theory,
+    # which is the square of the share that is detected.
+    share = np.divide(total, events, out=np.zeros_like(total), where=events > 0)
+    drawn = np.maximum(np.rint(rng.normal(cycles * total, share * np.sqrt(cycles * total))), 0.0).astype(np.int64)
+    shape = np.divide(detections, total[:, None], out=np.zeros_like(detections), where=total[:, None] > 0)
+    return np.asarray(rng.multinomial(drawn, shape))
 
 
 def _saturate_mean(mean: Floats, flux: Floats, measured: Measurement, approximate: bool) -> Floats:

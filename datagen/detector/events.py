@@ -14,11 +14,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from datagen.compiled import compiled
 from datagen.detector.dead_time import Equilibrium, equilibrium
 from datagen.detector.flux import Cycle
-from datagen.detector.random_numbers import Stream, exponential, uniform
 from datagen.detector.spad import Spad
 from datagen.records.arrays import Floats, Ints
 
@@ -61,7 +61,7 @@ def burn_in_cycles(spad: Spad, period_s: float) -> int:
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 
 
-def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, stream: Stream) -> Ints:
+def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, rng: Generator) -> Ints:
     """(pixel, n) detections in `cycles` laser periods of pixels with flux (pixel, n), coupled by crosstalk.
 
     A free-running pixel without traps and neighbours is armed first at a moment that is drawn from its equilibrium,
@@ -70,7 +70,7 @@ def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, stream: Str
     pixels, n = flux.shape
     has_traps = spad.afterpulse_probability > 0
     if spad.mode == "free_running" and not (has_traps or spad.paralyzable or pixels > 1):
-        start = _first_armed(equilibrium(flux[0], cycle.edges_s, cycle.width_s, spad.dead_time_s), stream)
+        start = _first_armed(equilibrium(flux[0], cycle.edges_s, cycle.width_s, spad.dead_time_s), rng)
     else:
         start = -burn_in_cycles(spad, cycle.period_s), 0.0
     # The last bin of all may be shorter than the others.
@@ -80,16 +80,16 @@ def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, stream: Str
         np.array(spad.trap_loads if has_traps else ()), np.array(spad.afterpulse_times_s if has_traps else ()),
         spad.crosstalk_probability, spad.array_columns or pixels,
     )  # fmt: skip
-    return np.asarray(_run(flux, period, diode, *start, cycles, stream))
+    return np.asarray(_run(flux, period, diode, *start, cycles, rng))
 
 
-def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
+def _first_armed(state: Equilibrium, rng: Generator) -> tuple[int, float]:
     """(cycle, phase) at which a detector in equilibrium is armed for the first time from (0, 0) on."""
     edges = state.pieces.edges
     period, dead_time = float(edges[-1]), state.pieces.dead_time
     # The probability not to be armed is the sum of the detections within the last dead time: the one at which this
     # uniform number is used up keeps the detector dead.
-    behind = uniform(stream) - state.armed
+    behind = rng.random() - state.armed
     per_cycle = float(state.detections.sum())
     if behind <= 0.0 or per_cycle <= 0.0:
         return 0, 0.0
@@ -104,7 +104,7 @@ def _first_armed(state: Equilibrium, stream: Stream) -> tuple[int, float]:
 
 @compiled()
 def _run(
-    flux: Floats, period: _Period, diode: _Diode, first_cycle: int, first_phase: float, cycles: int, stream: Stream
+    flux: Floats, period: _Period, diode: _Diode, first_cycle: int, first_phase: float, cycles: int, rng: Generator
 ) -> Ints:
     """(pixel, n) detections in cycles 0 … `cycles` − 1; all pixels are armed from the first moment on."""
     pixels, n = flux.shape
@@ -147,17 +147,17 @@ def _run(
                 from_cycle, from_phase = (now, phase) if diode.paralyzable else (new_cycle, new_phase)
             later, at, k = cycles, 0.0, 0
             if cumulative[p, n] > 0.0:
-                later, at, k = _next_photon(cumulative[p], period, guide[p], from_cycle, from_phase, cycles, stream)
+                later, at, k = _next_photon(cumulative[p], period, guide[p], from_cycle, from_phase, cycles, rng)
             # Each trap competes with the photon: the earliest of all is the next avalanche.
             for t in range(len(diode.times)):
-                e = exponential(stream)
+                e = rng.standard_exponential()
                 if e < level[p, t]:
                     later, at, k = _release(
-                        later, at, k, from_cycle, from_phase, e, level[p, t], diode.times[t], period, stream
+                        later, at, k, from_cycle, from_phase, e, level[p, t], diode.times[t], period, rng
                     )
             next_cycle[p], next_phase[p], next_bin[p] = later, at, k
             if is_armed and diode.crosstalk > 0.0:
-                waiting = _set_off_neighbours(p, pixels, diode, stack, waiting, stream)
+                waiting = _set_off_neighbours(p, pixels, diode, stack, waiting, rng)
         # The pixel with the earliest avalanche is next. Arrays are small, so a search in order is fastest.
         p = 0
         for other in range(1, pixels):
@@ -173,7 +173,7 @@ def _run(
 
 
 @compiled()
-def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, stream: Stream) -> int:
+def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting: int, rng: Generator) -> int:
     """Number of pixels on `stack`, of which `waiting` are there already, once the neighbours that an avalanche of
     pixel `p` sets off are added."""
     row, column = p // diode.columns, p % diode.columns
@@ -181,7 +181,7 @@ def _set_off_neighbours(p: int, pixels: int, diode: _Diode, stack: Ints, waiting
         r = row + (1 if side == 0 else -1 if side == 1 else 0)
         c = column + (1 if side == 2 else -1 if side == 3 else 0)
         q = r * diode.columns + c
-        if r < 0 or c < 0 or c >= diode.columns or q >= pixels or uniform(stream) >= diode.crosstalk:
+        if r < 0 or c < 0 or c >= diode.columns or q >= pixels or rng.random() >= diode.crosstalk:
             continue
         if waiting < len(stack):
             stack[waiting] = q
@@ -218,7 +218,7 @@ def _bin_of(edges: Floats, phase: float) -> int:
 
 @compiled()
 def _next_photon(
-    cumulative: Floats, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, stream: Stream
+    cumulative: Floats, period: _Period, guide: Ints, cycle: int, phase: float, cycles: int, rng: Generator
 ) -> tuple[int, float, int]:
     """(cycle, phase, bin) of the first photon detected after (`cycle`, `phase`), where Λ has grown by Exp(1).
 
@@ -234,7 +234,7 @@ def _next_photon(
         # Rounding gave the number of the bin before.
         j += 1
     share = min(max((phase - edges[j]) / (edges[j + 1] - edges[j]), 0.0), 1.0)
-    target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + exponential(stream)
+    target = cumulative[j] + share * (cumulative[j + 1] - cumulative[j]) + rng.standard_exponential()
     if target >= total:
         laps = np.floor(target / total)
         if laps >= cycles - cycle:
@@ -243,7 +243,7 @@ def _next_photon(
         # rest is independent of the number of laps and can be drawn afresh.
         target = max(target - laps * total, 0.0)
         if laps > _MANY_LAPS:
-            target = -math.log1p(uniform(stream) * math.expm1(-total))
+            target = -math.log1p(rng.random() * math.expm1(-total))
         if target >= total:
             target, laps = 0.0, laps + 1.0
         cycle += int(laps)
@@ -271,7 +271,7 @@ def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> 
 @compiled()
 def _release(
     next_cycle: int, next_phase: float, j: int, cycle: int, phase: float, e: float, left: float, time: float,
-    period: _Period, stream: Stream,
+    period: _Period, rng: Generator,
 ) -> tuple[int, float, int]:  # fmt: skip
     """(cycle, phase, bin) of the next avalanche: the photon's (`next_cycle`, `next_phase`, `j`), or an earlier
     release of a trap of which `left` releases are expected.
@@ -292,7 +292,7 @@ def _release(
             break
         k = _bin_of(period.edges, at_phase)
         # A carrier is lost while the gate is shut, and the trap may release another one.
-        if period.gate[k] >= 1.0 or uniform(stream) < period.gate[k]:
+        if period.gate[k] >= 1.0 or rng.random() < period.gate[k]:
             return at_cycle, at_phase, k
-        e = exponential(stream)
+        e = rng.standard_exponential()
     return next_cycle, next_phase, j

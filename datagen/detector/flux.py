@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from datagen.detector.irf import Kernel, measured_kernel, response_kernel, spread
@@ -208,6 +209,15 @@ class Fold:
         out = np.zeros((*values.shape[:-1], self.bins), values.dtype)
         low, high = self.aligned.start, self.aligned.stop
         out[..., low:high] = values[..., low - self.first : high - self.first]
+        return out
+
+    def draw(self, counts: Ints, rng: Generator) -> Ints:
+        """(h, bins) counts (h, lattice) in the bins of the period: those of a bin that is split are multinomial."""
+        out = self.aligned_of(counts)
+        rows, starts = np.unique(self.rows, return_index=True)
+        for row, start, stop in zip(rows, starts, np.append(starts, len(self.rows))[1:], strict=True):
+            split = rng.multinomial(counts[:, row], self.shares[start:stop])
+            np.add.at(out.T, self.columns[start:stop], split.T)
         return out
 
     def __call__(self, values: Floats) -> Floats:

@@ -27,7 +27,7 @@ class Measurement:
 
     transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     cycle, tdc : the laser period, and the converter of detections to records.
-    first_laser, first_pixel : numbers of the first laser point and pixel.
+    first_pixel : number of the first pixel.
     """
 
     transient: Floats
@@ -35,20 +35,17 @@ class Measurement:
     tdc: Tdc
     spad: Spad
     exposure: Exposure
-    first_laser: int = 0
     first_pixel: int = 0
 
     @classmethod
     def of(
-        cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_laser: int = 0,
-        first_pixel: int = 0,
-    ) -> Measurement:  # fmt: skip
+        cls, transient: ArrayLike, time: TimeAxis, spad: Spad, exposure: Exposure, first_pixel: int = 0
+    ) -> Measurement:
         """The measurement described by the arguments of a call; raises `InputError` where they are wrong."""
         check_kind("time", time, TimeAxis)
         check_kind("spad", spad, Spad)
         check_kind("exposure", exposure, Exposure)
-        for name, value in (("first_laser", first_laser), ("first_pixel", first_pixel)):
-            check_integer("detect", name, value, 0, 2**62)
+        check_integer("detect", "first_pixel", first_pixel, 0, 2**62)
         values = _checked_transient(transient, time, exposure.photons_per_pulse)
         pixels = values.shape[1]
         if time.bins % spad.bins_merged:
@@ -63,7 +60,7 @@ class Measurement:
             )
         cycle = cycle_of(time, spad, exposure)
         unequal = None if spad.tdc_bins_are_equal else TdcBins.of(cycle, 1, spad, pixels, first_pixel)
-        return cls(values, cycle, Tdc(cycle, unequal), spad, exposure, first_laser, first_pixel)
+        return cls(values, cycle, Tdc(cycle, unequal), spad, exposure, first_pixel)
 
     @cached_property
     def finer(self) -> tuple[Cycle, Tdc]:
@@ -91,7 +88,7 @@ class Measurement:
     def where(self, histogram: int) -> str:
         """The name of a histogram for messages, by its number in the order of laser points and their pixels."""
         laser, pixel = divmod(int(histogram), self.transient.shape[1])
-        return f"laser {self.first_laser + laser}, pixel {self.first_pixel + pixel}"
+        return f"laser {laser}, pixel {self.first_pixel + pixel}"
 
     def fluxes(self) -> Iterator[tuple[int, Floats]]:
         """For each block of laser points, the number of its first one and its flux per cycle (laser, pixel, n)."""

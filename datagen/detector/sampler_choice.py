@@ -25,8 +25,8 @@ DEFAULT_TOLERANCE = 1e-3
 HIDDEN_DEVIATION = 0.1
 """Largest bias of a total count in its own standard deviations, too small for any test of a single histogram."""
 MANY_EVENTS = 2e6
-"""Events per histogram from which on counts are Poisson numbers around their mean, if that is allowed. So many events
-take 0.1 s one by one."""
+"""Events per histogram from which on detections are not drawn one by one, if an approximate variance is allowed. So
+many events take 0.1 s."""
 MOST_EVENTS = 2e7
 """Events per histogram above which drawing them one by one is refused, as it would take seconds and more."""
 
@@ -40,8 +40,8 @@ class Sampler(IntEnum):
     """Synchronous: all cycles at once, bin after bin."""
     EVENTS = 2
     """One detection after another: free running, afterpulsing, paralyzable dead time, crosstalk."""
-    POISSON_OF_MEAN = 3
-    """Independent Poisson counts of the expected histogram, whose variance is approximate."""
+    MULTINOMIAL = 3
+    """A normal total, shared out as in the expected histogram: exact in the mean, approximate in the variance."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def choose(
         # Every photon restarts a paralyzable dead time, so all of them are drawn.
         drawn = np.where(sampler == Sampler.EVENTS, np.maximum(detections, burn_in), 0.0)
         if approximate:
-            sampler[drawn > MANY_EVENTS] = Sampler.POISSON_OF_MEAN
+            sampler[drawn > MANY_EVENTS] = Sampler.MULTINOMIAL
         elif len(many := np.flatnonzero(drawn > MOST_EVENTS)):
             raise InputError(f"{where(int(many[0]))}: {_too_many(drawn[many[0]], spad)}")
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
@@ -187,7 +187,7 @@ def summarise(choices: list[Choices], spad: Spad, tolerance: float) -> SamplerCh
     counted = {Sampler(code).name.lower(): int((sampler == code).sum()) for code in np.unique(sampler)}
     chosen = Sampler(int(sampler[brightest]))
     reason = _reason(chosen, spad, bias, deviation, detections, tolerance)
-    approximate = bool((sampler == Sampler.POISSON_OF_MEAN).any())
+    approximate = bool((sampler == Sampler.MULTINOMIAL).any())
     return SamplerChoice(
         chosen.name.lower(), reason, dict(sorted(counted.items())), flux, bias, deviation, detections, tolerance,
         approximate,
@@ -208,9 +208,9 @@ def _reason(sampler: Sampler, spad: Spad, bias: float, deviation: float, detecti
     why = {
         Sampler.CHAIN: "all laser cycles are counted together, bin after bin",
         Sampler.EVENTS: f"{_kind(spad)} is drawn detection by detection",
-        Sampler.POISSON_OF_MEAN: (
-            f"{detections:.2g} detections, more than {MANY_EVENTS:.0e}, are Poisson numbers around their mean: the "
-            "variance is approximate"
+        Sampler.MULTINOMIAL: (
+            f"{detections:.2g} detections, more than {MANY_EVENTS:.0e}, are shared out at random around their mean; "
+            "their variance is approximate"
         ),
     }[sampler]
     return f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"

@@ -24,8 +24,9 @@ Mode = Literal["ideal", "synchronous", "free_running"]
 """`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
 `free_running`: armed whenever the dead time is over, whatever the laser does."""
 
-MAX_CYCLES = 2**53
-"""Most laser cycles of an exposure: float64 holds no larger numbers exactly."""
+MAX_CYCLES = 2**40
+"""Most laser cycles of an exposure, a day at 10 MHz: numpy's binomial numbers take a probability below 1e-16 for 0,
+which costs such an exposure less than 1e-4 counts a bin."""
 
 
 @dataclass(frozen=True)

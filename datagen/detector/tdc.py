@@ -14,12 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.special
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.detector.flux import Cycle, Fold, N, fold_of, on_lattice, uniform_of_pixels
 from datagen.detector.irf import spread
-from datagen.detector.random_numbers import Stream, binomial, uniform
+from datagen.detector.random_numbers import binomial
 from datagen.detector.spad import Spad
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
@@ -152,10 +153,10 @@ class TdcBins:
         _sort_mean(rows, self.from_s, self.to_s, self._edges_of(records, pixels), out)
         return out.reshape(*records.shape[:-1], self.bins)
 
-    def draw(self, records: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
-        """(h, bins) records in the TDC's bins: a multinomial number for each incoming bin, from streams (h, 4)."""
+    def draw(self, records: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
+        """(h, bins) records in the TDC's bins: a multinomial number for each incoming bin."""
         out = np.zeros((len(records), self.bins), np.int64)
-        _sort_counts(records, self.from_s, self.to_s, self._edges_of(records, pixels), streams, out)
+        _sort_counts(records, self.from_s, self.to_s, self._edges_of(records, pixels), rng, out)
         return out
 
     def _edges_of(self, records: NDArray[np.generic], pixels: Ints | None) -> Ints:
@@ -200,8 +201,6 @@ class Tdc:
             moments = (cycle.edges_s[-2:].mean() + steps) % cycle.period_s
             bins = np.minimum(np.searchsorted(cycle.edges_s, moments, side="right") - 1, len(cycle.gate) - 1)
             self._fold = self._fold.with_row(count, bins, jitter.weights)
-        self._fold_rows, starts = np.unique(self._fold.rows, return_index=True)
-        self._fold_starts = np.append(starts, len(self._fold.rows)).astype(np.int64)
 
     def mean(self, detections: Floats, pixels: Ints | None = None) -> Floats:
         """(…, bins) expected records of expected detections (…, n) in the bins of the period, or in their pieces if
@@ -215,12 +214,12 @@ class Tdc:
         records = [self._mean_in_equal_bins(part) for part in self._by_piece(detections)]
         return self._unequal.mean(self._joined(records), pixels)
 
-    def draw(self, detections: Ints, streams: Stream, pixels: Ints | None = None) -> Ints:
-        """(h, bins) records of detections (h, n), multinomial, from streams (h, 4); `pixels` (h,) as of `mean`."""
+    def draw(self, detections: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
+        """(h, bins) records of detections (h, n), multinomial; `pixels` (h,) as of `mean`."""
         if self._unequal is None:
-            return self._draw_in_equal_bins(detections, streams)
-        records = [self._draw_in_equal_bins(part, streams) for part in self._by_piece(detections)]
-        return self._unequal.draw(self._joined(records), streams, pixels)
+            return self._draw_in_equal_bins(detections, rng)
+        records = [self._draw_in_equal_bins(part, rng) for part in self._by_piece(detections)]
+        return self._unequal.draw(self._joined(records), rng, pixels)
 
     def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
         """For each piece of a bin its (…, n) detections in all bins; whole bins count as the middle one."""
@@ -250,17 +249,15 @@ class Tdc:
         moved = np.concatenate([spread(lattice, jitter), short], axis=-1)
         return self._fold(moved)[..., : cycle.bins]
 
-    def _draw_in_equal_bins(self, detections: Ints, streams: Stream) -> Ints:
+    def _draw_in_equal_bins(self, detections: Ints, rng: Generator) -> Ints:
         """(h, bins) records in bins of the cycle's width."""
         cycle = self._cycle
         if cycle.after_avalanche.is_identity:
             return detections[..., : cycle.bins]
         lattice, short = self._in_order(detections)
-        scattered = _scatter(np.ascontiguousarray(lattice), self._likeliest, self._offsets, streams)
+        scattered = _scatter(np.ascontiguousarray(lattice), self._likeliest, self._offsets, rng)
         moved = np.concatenate([scattered, short], axis=1)
-        folded = self._fold.aligned_of(moved)
-        _share_out(moved, self._fold_rows, self._fold_starts, self._fold.columns, self._fold.shares, folded, streams)
-        return folded[:, : cycle.bins]
+        return self._fold.draw(moved, rng)[:, : cycle.bins]
 
     def _in_order(self, detections: NDArray[N]) -> tuple[NDArray[N], NDArray[N]]:
         """Detections on the lattice, and those of the short bin at the end of the period: (…, 1), or (…, 0) where
@@ -270,7 +267,7 @@ class Tdc:
 
 
 @compiled()
-def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> Ints:
+def _scatter(counts: Ints, weights: Floats, offsets: Ints, rng: Generator) -> Ints:
     """(h, n + taps − 1) counts after each of `counts` (h, n) has moved by `offsets[k]` bins with probability
     `weights[k]`. The weights descend and sum to 1.
     """
@@ -279,7 +276,6 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
     out = np.zeros((rows, n + taps - 1), np.int64)
     cumulative = np.cumsum(weights)
     for r in range(rows):
-        stream = streams[r]
         for i in range(n):
             left = counts[r, i]
             if left == 0:
@@ -287,7 +283,7 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
             # A few counts are moved one by one, by a search from the likeliest displacement on.
             if left <= 2 * taps:
                 for _ in range(left):
-                    u, k = uniform(stream) * cumulative[-1], 0
+                    u, k = rng.random() * cumulative[-1], 0
                     while k < taps - 1 and u >= cumulative[k]:
                         k += 1
                     out[r, i + offsets[k]] += 1
@@ -298,31 +294,11 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, streams: Stream) -> I
                 if left == 0:
                     break
                 share = weights[k] / rest
-                moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, stream)
+                moved = left if k == taps - 1 or share >= 1.0 else binomial(left, share, rng)
                 out[r, i + offsets[k]] += moved
                 left -= moved
                 rest -= weights[k]
     return out
-
-
-@compiled()
-def _share_out(
-    counts: Ints, places: Ints, starts: Ints, columns: Ints, shares: Floats, out: Ints, streams: Stream
-) -> None:
-    """Add `counts[:, places[r]]` to `out`, split at random over the bins `columns[starts[r]:starts[r + 1]]`."""
-    for h in range(len(counts)):
-        stream = streams[h]
-        for r in range(len(places)):
-            # A bin of the lattice that straddles bins of the period is a multinomial over these, as in `_scatter`.
-            left, rest = counts[h, places[r]], 1.0
-            for e in range(starts[r], starts[r + 1]):
-                if left == 0:
-                    break
-                share = shares[e] / rest
-                moved = left if share >= 1.0 - 1e-9 else binomial(left, share, stream)
-                out[h, columns[e]] += moved
-                left -= moved
-                rest -= shares[e]
 
 
 @compiled()
@@ -350,10 +326,10 @@ def _sort_mean(records: Floats, from_s: Floats, to_s: Floats, row_of: Ints, out:
 
 
 @compiled()
-def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, streams: Stream, out: Ints) -> None:
+def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, rng: Generator, out: Ints) -> None:
     """Add counts `records` (h, m) to the TDC's bins `out` (h, bins), each at random according to the overlap."""
     for h in range(len(records)):
-        edges, j, stream = to_s[row_of[h]], 0, streams[h]
+        edges, j = to_s[row_of[h]], 0
         for i in range(len(from_s) - 1):
             left, low, high = records[h, i], from_s[i], from_s[i + 1]
             if left == 0:
@@ -367,7 +343,7 @@ def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, stre
                 share = _overlap(low, high, edges, k)
                 moved = left
                 if edges[k + 1] < high and share < rest:
-                    moved = binomial(left, share / rest, stream)
+                    moved = binomial(left, share / rest, rng)
                 out[h, k] += moved
                 left -= moved
                 rest -= share

@@ -367,11 +367,11 @@ def _mark_axes(axes: Axes, camera: Camera, scene: Scene, left: float, bottom: fl
     size = float(np.ptp(scene.vertices, axis=0).max())
     length = 10.0 ** np.floor(np.log10(max(size, 1e-9) / 3))
     unit = camera.axes[:2].T * length
-    origin = np.array([left, bottom]) - [1.3 * unit[:, 0].min(), 1.3 * unit[:, 1].max()]
+    origin = np.array([left, bottom]) - 1.3 * np.array([min(unit[:, 0].min(), 0.0), unit[:, 1].max()])
     for name, arrow in zip("xyz", unit, strict=True):
         _arrow(axes, origin, origin + arrow, INK)
         x, y = origin + 1.25 * arrow
         axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK)
     beside = origin[0] + max(1.4 * unit[:, 0].max(), 0.4 * length)
     axes.text(beside, origin[1], f"{length:g} m each", fontsize=7.5, color=INK, va="center")
-    axes.update_datalim([origin + 1.3 * unit.min(axis=0), origin + 1.3 * unit.max(axis=0)])
+    axes.update_datalim([origin, *(origin + 1.3 * unit)])

@@ -14,7 +14,7 @@ from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, tim
 from datagen.config.capture import TimeConfig
 from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
-from datagen.config.scene_contents import MeshItem
+from datagen.config.scene_contents import MeshFolder, MeshItem
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -129,8 +129,10 @@ class Manifest:
             if due is None:
                 raise DamagedManifest(f"{MANIFEST}: meshes: has no digest of {named}; {REMEDY}")
             remedy = f"put the one of SHA-256 {due} there, from which the dataset was made"
+            # What is no plain file, such as a device, may have no end.
+            is_there = item.place.is_dir() if isinstance(item, MeshFolder) else item.place.is_file()
             try:
-                now = item.digest() if item.place.exists() else None
+                now = item.digest() if is_there else None
             except OSError as error:
                 raise InputError(f"{named}: {item.place}: cannot be read ({error.strerror or error})") from None
             if now is None:
@@ -195,16 +197,17 @@ def read_manifest(root: str | Location) -> Manifest:
         stated = parsed(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
-    if "format" not in stated:
+    number = stated.get("format")
+    if type(number) is not int:
         raise DamagedManifest(
-            f"{path}: is not the manifest of a datagen dataset; name a folder that `datagen build` made"
+            f"{path}: is not the manifest of a datagen dataset (format = {shown(number)}, this datagen reads format "
+            f"{FORMAT}); name a folder that `datagen build` made"
         )
     if not is_intact(content):
         raise DamagedManifest(f"{path}: has changed since it was written (its checksum differs); {REMEDY}")
-    if stated["format"] != FORMAT:
+    if number != FORMAT:
         raise InputError(
-            f"{path}: format = {shown(stated['format'])}, this datagen reads format {FORMAT}; use the version of "
-            "datagen that made it"
+            f"{path}: format = {number}, this datagen reads format {FORMAT}; use the version of datagen that made it"
         )
     try:
         return _manifest_of(parsed(path, content, _File), stated)

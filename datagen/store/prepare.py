@@ -119,7 +119,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     # Shard s begins at scene s · scenes_per_shard.
     k = last.first_scene // last.shard if last.shard else 0
     schema = schema_of(config, k if 0 < k <= 256 and k & (k - 1) == 0 else None)
-    return replace(describe(config, schema), made_by=records[0].made_by)
+    return replace(describe(config, schema), made_by=dict(records[0].made_by))
 
 
 def _resumed(root: Path, config: DatasetConfig) -> Manifest:

@@ -100,7 +100,7 @@ def _published_scene(config: DatasetConfig, index: int) -> PublishedScene:
 
 def _in_spans(histogram: Floats) -> Floats:
     """(SPANS,) the counts of a histogram (L, P, T) in equal spans of time."""
-    return histogram.sum(axis=(0, 1), dtype=np.float64).reshape(SPANS, -1).sum(axis=1)
+    return np.asarray(histogram.sum(axis=(0, 1), dtype=np.float64).reshape(SPANS, -1).sum(axis=1))
 
 
 def check_agreement(dataset: str | Path, published: Published) -> Agreement:

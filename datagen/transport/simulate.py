@@ -69,7 +69,8 @@ def simulate(
     -----
     InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres; a
         laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object; surfaces of
-        two parts coincide where light gets to, and one is taken to lie on the other (`transport/visibility/coincidence.py`).
+        two parts coincide where light gets to, and one is taken to lie on the other
+        (`transport/visibility/coincidence.py`).
 
     Examples
     --------

@@ -51,7 +51,7 @@ def with_cycles(config: dg.DatasetConfig, cycles: float) -> dg.DatasetConfig:
 
 @pytest.mark.parametrize(
     ("kind", "evidence", "quantile"),
-    [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2)],
+    [*((kind, 10, 0.5) for kind in DETECTORS), ("background", 3, 0.2), ("counters", 30, 0.5)],
 )
 def test_the_exposure_is_the_least_that_gives_the_evidence(
     kind: str, evidence: float, quantile: float, monkeypatch: pytest.MonkeyPatch

@@ -91,6 +91,8 @@ def coincident() -> list[trimesh.Trimesh]:
     return plate() + plate()
 
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*lie in one place")
+
 SHAPES: dict[str, Callable[[], list[trimesh.Trimesh]]] = {
     make.__name__: make for make in (plate, box, ball, open_mesh, touching, coincident)
 }

@@ -52,6 +52,7 @@ def looking_at(y: float, half_side_m: float = 0.05) -> Capture:
     return one_point_capture((0, -0.3, 0.1), (0, y, 0.03), half_side_m, time, (0.4, 0.1, 0.9))
 
 
+@pytest.mark.filterwarnings("ignore:.*lie in one place")
 def test_a_poster_takes_the_light_of_what_it_hangs_on() -> None:
     """A black poster, exactly in the plane of the box that it hangs on, acts as a hole in half of the box's face."""
     poster = Part("poster", rectangle((0.95, 0, -0.125), (0, 0.25, 0), (0, 0, 0.125)), Lambertian(0.0))

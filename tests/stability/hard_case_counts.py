@@ -13,7 +13,6 @@ from datagen import Exposure, Spad, TimeAxis, detect, expected_histogram
 from datagen.detector.dead_time import equilibrium
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.detector.irf import response_kernel, spread
-from datagen.detector.random_numbers import binomial, streams_of
 from datagen.records.arrays import Floats
 from datagen.transport.binning import add_to_bin
 
@@ -146,22 +145,6 @@ def many_cycles() -> HardCase:
     )
 
 
-def rare_binomial() -> HardCase:
-    """A binomial of so small a probability that 1 − p is 1."""
-    trials, p, draws = 10**15, 3e-17, 50_000
-    stream = streams_of(3, 0, 0)[0]
-    drawn = sum(binomial(trials, p, stream) for _ in range(draws))
-    return HardCase(
-        "10¹⁵ trials of probability 3e-17",
-        "log(1 − p) in the sampler: relative error of its mean",
-        abs(float(-np.log(1.0 - p)) / p - 1),
-        f"log1p(−p): relative error of the mean of {draws} draws",
-        abs(drawn / (draws * trials * p) - 1),
-        "the mean, 0.03",
-        allowed=3.9 / float(np.sqrt(draws * trials * p)),
-    )
-
-
 def arrival_time() -> HardCase:
     """Paths at random places of 1 ps bins, and of bins four times as wide."""
     bins, rng = 1024, np.random.default_rng(1)
@@ -190,5 +173,5 @@ def _shared(positions: Floats, bins: int) -> Floats:
 
 
 COUNTS = (
-    arrival_time, narrow_response, wide_tail, contrast, tiny_flux, long_dead_time, many_cycles, rare_binomial
+    arrival_time, narrow_response, wide_tail, contrast, tiny_flux, long_dead_time, many_cycles
 )  # fmt: skip

@@ -21,12 +21,13 @@ def threads():
 dg.TransientDataset      # importing begins threads of other libraries
 before, folder = threads(), sys.argv[1]
 data = dg.TransientDataset(folder, ("histogram", "transient"), split="train")
-data.parameters("box.width_m"), data.parameters("kind"), data.stats
-for sample in data:
-    sample["histogram"].sum() + sample["transient"].sum()
+assert not verify(folder).problems
 with open(folder + "/samples.parquet", "rb") as file:
     parquet_schema(file), parquet_rows(file)
-assert not verify(folder).problems
+for sample in data:
+    sample["histogram"].sum() + sample["transient"].sum()
+# Last, so that threads of it would still be at work when the interpreter ends.
+data.stats, data.parameters("box.width_m"), data.parameters("kind")
 left = threads() - before
 assert not left, f"{len(left)} threads are left"
 """

@@ -91,12 +91,17 @@ def test_a_changed_mesh_is_refused_in_a_line(name: str, made: Any, capsys: pytes
 def test_a_missing_mesh_is_named_in_a_line(name: str, made: Any, capsys: pytest.CaptureFixture[str]) -> None:
     root, mesh = made
     due = next(iter(read_manifest(root).meshes.values()))
-    # Of a folder with classes, all of it.
-    (mesh if mesh.parent.name != "cat" else mesh.parents[1]).rename(root.parent / "gone")
-    capsys.readouterr()
-    assert run(command(name, root)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "is missing; put the one of SHA-256 " in line and due in line
+    # Of a folder with classes, all of it; then a folder stands where a file was, and a file where a folder was.
+    is_folder = mesh.parent.name == "cat"
+    place = mesh.parents[1] if is_folder else mesh
+    place.rename(root.parent / "gone")
+    for stand_in in (None, Path.touch if is_folder else Path.mkdir):
+        if stand_in is not None:
+            stand_in(place)
+        capsys.readouterr()
+        assert run(command(name, root)) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "is missing; put the one of SHA-256 " in line and due in line
 
 
 def test_the_digest_is_that_of_the_bytes(tmp_path: Path) -> None:
