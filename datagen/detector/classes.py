@@ -7,15 +7,15 @@ The class is drawn before its parameters, which therefore stay correlated. Every
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from datagen.config.detector import DetectorConfig
-from datagen.config.distributions import Distribution, draw
+from datagen.config.detector import DetectorConfig, MeasuredPulse
+from datagen.config.distributions import draw
 from datagen.detector.spad import Exposure, Pulse, Spad
 from datagen.errors import InputError
 from datagen.records import TimeAxis
@@ -51,7 +51,7 @@ _CLASSES: dict[str, dict[str, Range]] = {
         "jitter_tail_s": Range(50e-12, 150e-12, _CMOS_TAILS),
         "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
         "afterpulse_probability": Range(0.001, 0.03, "Straka et al., JLT 2020: 1.71 %; ends estimate", True),
-        "afterpulse_time_s": Range(20e-9, 200e-9, ESTIMATE, True),
+        "afterpulse_times_s": Range(20e-9, 200e-9, ESTIMATE, True),
         "repetition_rate_hz": Range(1e6, 40e6, _RATES, True),
     },
     "si_array": {
@@ -64,7 +64,7 @@ _CLASSES: dict[str, dict[str, Range]] = {
         "jitter_tail_s": Range(50e-12, 300e-12, f"{_CMOS_TAILS}; end estimate"),
         "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
         "afterpulse_probability": Range(1e-4, 0.02, ESTIMATE, True),
-        "afterpulse_time_s": Range(10e-9, 200e-9, ESTIMATE, True),
+        "afterpulse_times_s": Range(10e-9, 200e-9, ESTIMATE, True),
         "hot_pixel_fraction": Range(0.01, 0.01, ESTIMATE),
         "hot_pixel_factor": Range(30, 300, ESTIMATE, True),
         "crosstalk_probability": Range(1e-4, 0.01, ESTIMATE, True),
@@ -78,7 +78,7 @@ _CLASSES: dict[str, dict[str, Range]] = {
         "jitter_tail_s": Range(100e-12, 500e-12, ESTIMATE),
         "jitter_tail_fraction": Range(0.05, 0.3, ESTIMATE),
         "afterpulse_probability": Range(0.01, 0.1, ESTIMATE, True),
-        "afterpulse_time_s": Range(1.1e-6, 2.4e-6, "arXiv 2106.05599: decay of 1.1–2.4 µs"),
+        "afterpulse_times_s": Range(1.1e-6, 2.4e-6, "arXiv 2106.05599: decay of 1.1–2.4 µs"),
         "repetition_rate_hz": Range(0.5e6, 5e6, ESTIMATE, True),
     },
     "consumer_dtof": {
@@ -87,7 +87,7 @@ _CLASSES: dict[str, dict[str, Range]] = {
         "dead_time_s": Range(5e-9, 20e-9, ESTIMATE),
         "jitter_fwhm_s": Range(100e-12, 300e-12, ESTIMATE),
         "afterpulse_probability": Range(1e-4, 0.02, ESTIMATE, True),
-        "afterpulse_time_s": Range(10e-9, 100e-9, ESTIMATE, True),
+        "afterpulse_times_s": Range(10e-9, 100e-9, ESTIMATE, True),
         "repetition_rate_hz": Range(5e6, 20e6, ESTIMATE, True),
     },
 }
@@ -118,18 +118,18 @@ def draw_class_parameters(name: str, rng: np.random.Generator) -> dict[str, floa
     return {key: r.at(place[key]) for key, r in ranges.items()}
 
 
-_PARAMETERS: dict[str, tuple[str, float, float]] = {
-    "pde": ("pde", 1.0, 0.3), "dark_count_rate_hz": ("dark_count_rate_hz", 1.0, 100.0),
-    "dead_time_s": ("dead_time_ns", 1e-9, 50e-9), "jitter_fwhm_s": ("jitter_fwhm_ps", 1e-12, 60e-12),
-    "jitter_tail_s": ("jitter_tail_ps", 1e-12, 0.0), "jitter_tail_fraction": ("jitter_tail_fraction", 1.0, 0.2),
-    "afterpulse_probability": ("afterpulse_probability", 1.0, 0.0),
-    "afterpulse_time_s": ("afterpulse_time_ns", 1e-9, 50e-9),
-    "crosstalk_probability": ("crosstalk_probability", 1.0, 0.0),
-    "hot_pixel_fraction": ("hot_pixel_fraction", 1.0, 0.0), "hot_pixel_factor": ("hot_pixel_factor", 1.0, 100.0),
-    "repetition_rate_hz": ("repetition_rate_mhz", 1e6, 10e6), "tdc_dnl": ("tdc_dnl", 1.0, 0.0),
+_LABORATORY: dict[str, Any] = {
+    "pde": 0.3, "dark_count_rate_hz": 100.0, "dead_time_s": 50e-9, "jitter_fwhm_s": 60e-12,
+    "jitter_tail_fraction": 0.2,
 }  # fmt: skip
-"""Parameter in SI units → key of the configuration, unit of the key, and default value where neither configuration
-nor class gives one: that of a silicon SPAD in a laboratory."""
+"""A silicon SPAD in a laboratory: what neither configuration nor class gives. All else is left to the defaults of
+`Spad` and `Exposure`."""
+_UNITS = {
+    "afterpulse_time_ns": ("afterpulse_times_s", 1e-9),
+    "_ns": ("_s", 1e-9), "_ps": ("_s", 1e-12), "_mhz": ("_hz", 1e6),
+}  # fmt: skip
+"""End of a key of the configuration → that of its name in SI units, and the unit."""
+_FIELDS = {kind: {f.name for f in fields(kind)} for kind in (Spad, Exposure)}
 
 
 def detector_for(
@@ -137,8 +137,10 @@ def detector_for(
 ) -> tuple[Spad, Exposure]:
     """Spad and exposure of scene `index`, drawn from the scene's own random stream.
 
-    With `time`, a repetition rate that the configuration does not give is lowered where the time axis would not fit
-    into the laser period, as an experimenter would do.
+    A key of the configuration sets the field of `Spad` or `Exposure` whose name it is in SI units; a key of `gate`
+    sets `gate_…`. Distributions are drawn in the order of the keys. With `time`, a repetition rate that the
+    configuration does not give is lowered where the time axis would not fit into the laser period, as an experimenter
+    would do.
 
     Raises `InputError` for a configuration that names no exposure but what it shall reach (`exposure_for`).
     """
@@ -147,52 +149,49 @@ def detector_for(
             "detector.exposure_for: its exposure is not found yet; use dg.with_exposure_found(config), or set cycles"
         )
     rng = generator(seed, index, Purpose.DETECTOR_PARAMETERS)
-    values: dict[str, Any] = {parameter: default for parameter, (_, _, default) in _PARAMETERS.items()}
-    name = config.detector_class
+    values = dict(_LABORATORY)
+    name: str | None = config.detector_class
     if name == "any":
-        name = sorted(DETECTOR_CLASSES)[int(rng.integers(len(DETECTOR_CLASSES)))]  # type: ignore[assignment]
+        name = sorted(DETECTOR_CLASSES)[int(rng.integers(len(DETECTOR_CLASSES)))]
     if name is not None:
         values |= draw_class_parameters(name, rng)
     if time is not None:
-        values["repetition_rate_hz"] = min(values["repetition_rate_hz"], 1.0 / (time.bins * time.width_s))
-    for parameter, (key, unit, _) in _PARAMETERS.items():
-        configured: Distribution | None = getattr(config, key)
-        if configured is not None:
-            values[parameter] = draw(configured, rng) * unit
-    exposure = Exposure(
-        repetition_rate_hz=values.pop("repetition_rate_hz"),
-        cycles=max(round(draw(config.cycles, rng)), 1),
-        photons_per_pulse=draw(config.photons_per_pulse, rng),
-        ambient_rate_hz=draw(config.ambient_rate_hz, rng),
-        **_pulse(config, rng),
-    )
-    if config.gate is not None:
-        for key, gate, unit in (
-            ("start_s", "start_ns", 1e-9),
-            ("width_s", "width_ns", 1e-9),
-            ("rise_s", "rise_ps", 1e-12),
-        ):
-            values[f"gate_{key}"] = draw(getattr(config.gate, gate), rng) * unit
-    edges = config.tdc_edges_ps
-    spad = Spad(
-        tdc_edges_s=None if edges is None else _in_seconds(edges),
-        afterpulse_times_s=(values.pop("afterpulse_time_s"),), mode=config.mode, paralyzable=config.paralyzable,
-        hot_pixel_seed=int(rng.integers(2**62)), array_columns=config.array_columns, counter_max=config.counter_max,
-        tdc_period_bins=config.tdc_period_bins, tdc_seed=int(rng.integers(2**62)) if values["tdc_dnl"] > 0 else 0,
-        bins_merged=config.bins_merged, dark_count_factors=config.dark_count_factors, **values,
-    )  # fmt: skip
-    return spad, exposure
+        usual = values.get("repetition_rate_hz", Exposure.repetition_rate_hz)
+        values["repetition_rate_hz"] = min(usual, 1.0 / (time.bins * time.width_s))
+    gate = () if config.gate is None else ((f"gate_{key}", value) for key, value in config.gate)
+    for key, given in (*config, *gate):
+        field, unit = _in_si(key)
+        if given is not None and any(field in names for names in _FIELDS.values()):
+            values[field] = _value(given, unit, rng)
+    values["cycles"] = max(round(values["cycles"]), 1)
+    if config.pulse is not None:
+        del values["pulse_fwhm_s"]
+    values["hot_pixel_seed"] = int(rng.integers(2**62))
+    if values.get("tdc_dnl", 0.0) > 0:
+        values["tdc_seed"] = int(rng.integers(2**62))
+    spad, exposure = ({key: values[key] for key in names & values.keys()} for names in _FIELDS.values())
+    return Spad(**spad), Exposure(**exposure)
+
+
+def _in_si(key: str) -> tuple[str, float]:
+    """The name in SI units of a key of the configuration, and the key's unit."""
+    for ending, (si, unit) in _UNITS.items():
+        if key.endswith(ending):
+            return key.removesuffix(ending) + si, unit
+    return key, 1.0
+
+
+def _value(given: Any, unit: float, rng: np.random.Generator) -> Any:
+    """A value of the configuration in SI units; numbers are drawn if they are distributions."""
+    if isinstance(given, MeasuredPulse):
+        return Pulse(given.samples, given.sample_ps * 1e-12, given.start_ps * 1e-12)
+    if isinstance(given, tuple):
+        return given if unit == 1.0 else _in_seconds(given)
+    # Flags, names and whole numbers are not drawn.
+    return given if isinstance(given, (int, str)) else draw(given, rng) * unit
 
 
 @lru_cache(maxsize=1)
 def _in_seconds(edges_ps: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
     """Edges in seconds, which all scenes of a configuration share: there may be a hundred thousand."""
     return tuple(tuple(row) for row in (np.array(edges_ps) * 1e-12).tolist())
-
-
-def _pulse(config: DetectorConfig, rng: np.random.Generator) -> dict[str, Any]:
-    """The arguments of `Exposure` that say what the laser's pulse is."""
-    if config.pulse is None:
-        return {"pulse_fwhm_s": draw(config.pulse_fwhm_ps, rng) * 1e-12}
-    pulse = config.pulse
-    return {"pulse": Pulse(pulse.samples, pulse.sample_ps * 1e-12, pulse.start_ps * 1e-12)}

@@ -19,28 +19,24 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.compiled import compiled
+from datagen.detector.flux import cut_edges
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
 
 PIECE_FLUX = 0.0125
-"""Most events in a piece. The slope of the detections within a piece is neglected; halved, this error falls
-fourfold, and bright bins take twice the time."""
+"""Most events in a piece, within which the slope of the detections is neglected: an error of second order, which
+stays invisible in 10⁸ cycles."""
 _FLUX_PIECES = 16_384
-"""At a flux of hundreds and more per cycle a piece may carry 1/16384 of the whole instead. Halved, pieces are twice
-as long there, and their error is four times as large."""
+"""At a flux of hundreds and more per cycle a piece may carry this part of the whole instead, to bound the time."""
 _LONG_PIECE_FLUX = 0.002
-"""Most events in a piece of a long background bin, in which detections may start or end abruptly. Halved, these bins
-have half the error and take twice the time."""
+"""Most events in a piece of a long background bin, in which detections may start or end abruptly."""
 _MOST_PIECES = 4_000_000
-"""Most pieces of a period: 0.2 GB of arrays. Halved, light half as bright is refused."""
+"""Most pieces of a period: 0.2 GB of arrays."""
 _SWEEPS = 24
 """Cycles after which an equilibrium that still changes is solved for as linear equations. A moderate flux settles in
-three or four; half as many would save time only where several events a cycle keep detections in step."""
-_MEAN_TOLERANCE = 1e-13
-"""Change from one cycle to the next, in detections, at which a mean has settled: the rounding of a cycle's sums.
-Halved, it may never be reached."""
-START_TOLERANCE = 1e-8
-"""The same for the state in which an exposure begins, an error of 10⁻⁸ detections. Halved, some take a sweep more."""
+three or four; several events a cycle keep detections in step for hundreds."""
+_SETTLED = 1e-13
+"""Change from one cycle to the next, in detections, at which a mean has settled: the rounding of a cycle's sums."""
 
 
 class Pieces(NamedTuple):
@@ -63,62 +59,23 @@ def pieces_of(
 
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges. Raises `InputError` for too many pieces.
     """
-    count = _pieces_per_bin(flux, edges_s, width_s, dead_time_s, shorter_than_dead_time, PIECE_FLUX)
-    total = float(count.sum())
-    if not total <= _MOST_PIECES:
+    length, total = np.diff(edges_s), float(flux.sum())
+    most = max(PIECE_FLUX, total / _FLUX_PIECES)
+    is_long = length > 1.5 * width_s
+    # Returns from the bright window fall into a long bin, so that its pieces must also be short beside the dead time.
+    short = np.minimum(np.ceil(4.0 * length / dead_time_s), 4096.0) if dead_time_s > 0.0 else np.ones(len(flux))
+    parts = np.where(is_long, np.maximum(np.ceil(flux / min(_LONG_PIECE_FLUX, most)), short), np.ceil(flux / most))
+    if shorter_than_dead_time:
+        parts = np.maximum(parts, np.ceil(length / dead_time_s * (1.0 + 1e-12)))
+    count = np.maximum(parts, 1.0)
+    if not count.sum() <= _MOST_PIECES:
         raise InputError(
-            f"flux of {flux.sum():g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
-            f"needs {total:g} pieces, at most {_MOST_PIECES} are handled; lower photons_per_pulse or widen the bins"
+            f"flux of {total:g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
+            f"needs {count.sum():g} pieces, at most {_MOST_PIECES}; lower photons_per_pulse or widen the bins"
         )
-    if total == len(flux):
-        # Kernels would be compiled once more for edges that are read-only, as those of a `Cycle` are.
-        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s.copy(), dead_time_s)
-    return Pieces(*_cut_bins(flux, edges_s, count.astype(np.int64)), dead_time_s)
-
-
-@compiled()
-def _pieces_per_bin(
-    flux: Floats, edges: Floats, width: float, dead_time: float, shorter: bool, piece_flux: float
-) -> Floats:
-    """(n,) number of pieces of each bin, as floats, which hold numbers too large to count as well."""
-    most = max(piece_flux, flux.sum() / _FLUX_PIECES)
-    parts = np.ones(len(flux))
-    for i in range(len(flux)):
-        length = edges[i + 1] - edges[i]
-        # Most bins are fine enough and stay whole.
-        is_short = not shorter or length * (1.0 + 1e-12) <= dead_time
-        if is_short and flux[i] <= most and length <= 1.5 * width:
-            continue
-        if length > 1.5 * width:
-            # Returns from the bright window fall into it, so a piece must also be short beside the dead time.
-            part = np.ceil(flux[i] / min(_LONG_PIECE_FLUX, most))
-            if dead_time > 0.0:
-                part = max(part, min(np.ceil(4.0 * length / dead_time), 4096.0))
-        else:
-            part = np.ceil(flux[i] / most)
-        if not is_short:
-            part = max(part, np.ceil(length / dead_time * (1.0 + 1e-12)))
-        parts[i] = max(part, 1.0)
-    return parts
-
-
-@compiled()
-def _cut_bins(flux: Floats, edges: Floats, count: Ints) -> tuple[Floats, Ints, Floats]:
-    """Flux, bin number and edges of the pieces, `count` (n,) of them in each bin."""
-    total = count.sum()
-    pieces, bin_of, cut = np.empty(total), np.empty(total, np.int64), np.empty(total + 1)
-    k = 0
-    for i in range(len(flux)):
-        if count[i] == 1:
-            pieces[k], bin_of[k], cut[k] = flux[i], i, edges[i]
-            k += 1
-            continue
-        length = (edges[i + 1] - edges[i]) / count[i]
-        for part in range(count[i]):
-            pieces[k], bin_of[k], cut[k] = flux[i] / count[i], i, edges[i] + part * length
-            k += 1
-    cut[total] = edges[len(flux)]
-    return pieces, bin_of, cut
+    whole = count.astype(np.int64)
+    bin_of = np.repeat(np.arange(len(flux)), whole)
+    return Pieces((flux / whole)[bin_of], bin_of, cut_edges(edges_s, whole), dead_time_s)
 
 
 def synchronous_mean(flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float) -> Floats:
@@ -240,7 +197,7 @@ def run_cycle(table: Table, armed: float, returning: Floats, following: Floats) 
         detections[i] = fired
         armed -= fired
         for k in range(1 if first[i] == i else 0, offset[i + 1] - start):
-            # Returns after the end of this cycle are handed to the next one.
+            # Returns after the end of this cycle are left to the next one.
             where = first[i] + k
             if where < m:
                 returning[where] += weights[start + k] * fired
@@ -276,10 +233,7 @@ class Equilibrium:
         return self.pieces.per_bin(self.detections, len(self.flux))
 
 
-def equilibrium(
-    flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float, *, shorter_than_dead_time: bool = False,
-    tolerance: float = _MEAN_TOLERANCE,
-) -> Equilibrium:  # fmt: skip
+def equilibrium(flux: Floats, edges_s: Floats, width_s: float, dead_time_s: float) -> Equilibrium:
     """The equilibrium of a free-running detector with a dead time of any length.
 
     Whole periods in τ = m T_r + τ′ only rescale: D = X / (1 + m ΣX) with X the answer for τ′. X is the fixed point of
@@ -288,18 +242,15 @@ def equilibrium(
 
     flux, edges_s : (n,) events per cycle and bin, (n + 1,) bin edges from 0 to the period.
     width_s : bins longer than this are background, cut more finely.
-    shorter_than_dead_time : whether pieces must be shorter than the dead time, as `draw_cycle_ensemble` needs them.
-    tolerance : change from one cycle to the next, in detections, at which the fixed point is reached.
     """
     period = float(edges_s[-1])
     whole = int(np.floor(dead_time_s / period * (1 + 1e-15)))
     rest = max(dead_time_s - whole * period, 0.0)
     if rest < 1e-9 * width_s:
         rest = 0.0
-    cut = shorter_than_dead_time and whole == 0
-    pieces = pieces_of(flux, edges_s, width_s, rest, shorter_than_dead_time=cut)
+    pieces = pieces_of(flux, edges_s, width_s, rest)
     most = float(most_in_window(flux, edges_s, rest))
-    detections = _fixed_point(pieces, most, tolerance) if rest > 0.0 else pieces.flux
+    detections = _fixed_point(pieces, most) if rest > 0.0 else pieces.flux
     scale = 1.0 / (1.0 + whole * float(detections.sum()))
     detections = detections * scale
     # A diode is dead at phase 0 if it fired within the last dead time.
@@ -316,7 +267,7 @@ def _tail_sum(edges: Floats, values: Floats, length: float) -> float:
     return float(cumulative[-1] - np.interp(edges[-1] - length, edges, cumulative))
 
 
-def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Floats:
+def _fixed_point(pieces: Pieces, most: float) -> Floats:
     """(m,) detections per cycle and piece in equilibrium, for a dead time shorter than the period.
 
     most : the most flux in any interval of the dead time.
@@ -337,7 +288,7 @@ def _fixed_point(pieces: Pieces, most: float, tolerance: float) -> Floats:
         detections, armed_after = run_cycle(table, armed, returning.copy(), following)
         change = abs(armed_after - armed) + np.abs(following - returning).sum()
         armed, returning = armed_after, following
-        if change < tolerance:
+        if change < _SETTLED:
             return detections
     return _solve(table)
 

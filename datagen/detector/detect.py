@@ -8,9 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from datagen.detector.chain import draw_cycle_ensemble, draw_hazard_chain, draw_in_order, draw_return_chain
-from datagen.detector.dead_time import START_TOLERANCE, equilibrium, pieces_of
-from datagen.detector.events import draw_avalanches, draw_free_running
+from datagen.detector.chain import draw_chain
+from datagen.detector.events import draw_events
 from datagen.detector.expected import (
     counts_are_binomial,
     counts_are_poisson,
@@ -18,6 +17,7 @@ from datagen.detector.expected import (
     mean_detections,
     saturated_mean,
 )
+from datagen.detector.flux import Cycle
 from datagen.detector.measurement import Measurement, merged
 from datagen.detector.random_numbers import draw_poisson, generator_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
@@ -196,45 +196,39 @@ def _choose_block(
 
 def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: Choices, rng: Generator) -> Ints:
     """(h, bin) counts of the h histograms of a block of flux (laser, pixel, n)."""
-    spad, cycles = measured.spad, measured.exposure.cycles
-    _, pixels, n = flux.shape
-    values = flux.reshape(-1, n)
+    spad, cycles, pixels = measured.spad, measured.exposure.cycles, flux.shape[1]
+    values = flux.reshape(-1, flux.shape[2])
     out = np.empty((len(values), measured.cycle.bins), np.int64)
     poisson = choices.sampler == Sampler.POISSON
     if len(rows := np.flatnonzero(poisson)):
         # Poisson events that are displaced independently stay Poisson, so the mean is displaced, not every event.
         mean, numbers = measured.tdc.mean(cycles * values[rows], rows % pixels), first_laser * pixels + rows
         out[rows] = draw_poisson(mean, rng, lambda row: measured.where(numbers[row]))
-    if len(rows := np.flatnonzero(~poisson & choices.in_order)):
+    if len(rows := np.flatnonzero(~poisson)):
         cycle, tdc = measured.finer
-        detections = draw_in_order(measured.in_finer(values[rows]), cycle.edges_s, spad.dead_time_s, cycles, rng)
-        out[rows] = tdc.draw(detections, rng, rows % pixels)
-    if len(rows := np.flatnonzero(~poisson & ~choices.in_order)):
-        (cycle, tdc), finer = measured.finer, measured.in_finer(values[rows])
-        if measured.coupled:
-            each = finer.reshape(-1, pixels, finer.shape[-1])
-            detections = np.concatenate([draw_avalanches(one, cycle, spad, cycles, rng) for one in each])
-        else:
-            alone = zip(finer, choices.sampler[rows], strict=True)
-            detections = np.stack([_draw_one(measured, f, Sampler(code), rng) for f, code in alone])
-        out[rows] = tdc.draw(detections, rng, rows % pixels)
+        step = pixels if measured.coupled else 1
+        together = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
+        each = zip(together, choices.sampler[rows[::step]], strict=True)
+        drawn = [_draw(own, cycle, spad, cycles, Sampler(code), rng) for own, code in each]
+        out[rows] = tdc.draw(np.concatenate(drawn), rng, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)
 
 
-def _draw_one(measured: Measurement, flux: Floats, sampler: Sampler, rng: Generator) -> Ints:
-    """(m,) detections of one pixel of flux (m,) in `measured.finer`, by a sampler other than Poisson's."""
-    cycle, spad, cycles = measured.finer[0], measured.spad, measured.exposure.cycles
-    bins = cycle.edges_s, cycle.width_s, spad.dead_time_s
-    match sampler:
-        case Sampler.HAZARD_CHAIN:
-            return draw_hazard_chain(flux, cycles, rng)
-        case Sampler.RETURN_CHAIN:
-            return draw_return_chain(pieces_of(flux, *bins, shorter_than_dead_time=True), len(flux), cycles, rng)
-        case Sampler.AVALANCHES:
-            return np.asarray(draw_avalanches(flux[None, :], cycle, spad, cycles, rng)[0])
-        case Sampler.CYCLE_ENSEMBLE:
-            return draw_cycle_ensemble(equilibrium(flux, *bins, shorter_than_dead_time=True), cycles, rng)
-    return draw_free_running(flux, cycle, spad, cycles, equilibrium(flux, *bins, tolerance=START_TOLERANCE), rng)
+def _draw(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, sampler: Sampler, rng: Generator) -> Ints:
+    """(pixel, n) detections of one pixel, or of those that crosstalk couples, with flux (pixel, n); not by Poisson's
+    sampler."""
+    if sampler == Sampler.CHAIN:
+        return draw_chain(flux[0], cycle, spad.dead_time_s, cycles, rng)[None]
+    if sampler == Sampler.EVENTS:
+        return draw_events(flux, cycle, spad, cycles, rng)
+    detections = mean_detections(flux, cycle, spad)
+    total, events = detections.sum(axis=1), flux.sum(axis=1)
+    # What thins events evens them out, too: at a constant rate by the Fano factor 1 / (1 + λτ)² of renewal theory,
+    # which is the square of the share that is detected.
+    share = np.divide(total, events, out=np.zeros_like(total), where=events > 0)
+    drawn = np.maximum(np.rint(rng.normal(cycles * total, share * np.sqrt(cycles * total))), 0.0).astype(np.int64)
+    shape = np.divide(detections, total[:, None], out=np.zeros_like(detections), where=total[:, None] > 0)
+    return np.asarray(rng.multinomial(drawn, shape))
 
 
 def _saturate_mean(mean: Floats, flux: Floats, measured: Measurement, approximate: bool) -> Floats:

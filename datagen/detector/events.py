@@ -17,20 +17,19 @@ import numpy as np
 from numpy.random import Generator
 
 from datagen.compiled import compiled
-from datagen.detector.dead_time import Equilibrium
+from datagen.detector.dead_time import Equilibrium, equilibrium
 from datagen.detector.flux import Cycle
 from datagen.detector.spad import Spad
 from datagen.records.arrays import Floats, Ints
 
 _BURN_IN_CYCLES = 24
-"""Least number of cycles simulated before an exposure, in which pixels forget that they started armed. With half as
-many the first cycles have too many detections where several events a cycle keep a diode in step with its start."""
+"""Least number of cycles simulated before an exposure, in which pixels forget that they started armed, even where
+several events a cycle keep a diode in step with its start."""
 _BURN_IN_TIMES = 8.0
-"""Release times (or dead times) simulated before an exposure: a trap is then within e⁻⁸ of its level. With half as
-many the first cycles lack 2 % of their afterpulses."""
+"""Release times (or dead times) simulated before an exposure: a trap is then within e⁻⁸ of its level."""
 _MANY_LAPS = 2.0**20
-"""Periods without an event after which the phase of the next event is drawn afresh. The rounding of Λ over so many
-periods is 10⁻¹⁰ of one period; with half as many it is half of that."""
+"""Periods without an event after which the phase of the next event is drawn afresh: the rounding of Λ over so many
+periods is 10⁻¹⁰ of one period."""
 
 
 class _Period(NamedTuple):
@@ -62,37 +61,26 @@ def burn_in_cycles(spad: Spad, period_s: float) -> int:
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 
 
-def draw_avalanches(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, rng: Generator) -> Ints:
-    """(pixel, n) detections in `cycles` periods of pixels with flux (pixel, n), coupled by crosstalk."""
-    return _draw(flux, cycle, spad, -burn_in_cycles(spad, cycle.period_s), 0.0, cycles, rng)
+def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, rng: Generator) -> Ints:
+    """(pixel, n) detections in `cycles` laser periods of pixels with flux (pixel, n), coupled by crosstalk.
 
-
-def draw_free_running(
-    flux: Floats, cycle: Cycle, spad: Spad, cycles: int, state: Equilibrium, rng: Generator
-) -> Ints:
-    """(n,) detections in `cycles` laser periods of a detector with flux (n,) that has been running for ever.
-
-    The moment at which it is armed first is drawn from the equilibrium, so the mean is exact for any number of
-    cycles.
+    A free-running pixel without traps and neighbours is armed first at a moment that is drawn from its equilibrium,
+    so that its mean is exact for any number of cycles. Other pixels start armed some cycles before the exposure.
     """
-    first_cycle, first_phase = _first_armed(state, rng)
-    return np.asarray(_draw(flux[None, :], cycle, spad, first_cycle, first_phase, cycles, rng)[0])
-
-
-def _draw(
-    flux: Floats, cycle: Cycle, spad: Spad, first_cycle: int, first_phase: float, cycles: int, rng: Generator
-) -> Ints:
-    """(pixel, n) detections in cycles 0 … `cycles` − 1 of pixels armed from (`first_cycle`, `first_phase`) on."""
     pixels, n = flux.shape
+    has_traps = spad.afterpulse_probability > 0
+    if spad.mode == "free_running" and not (has_traps or spad.paralyzable or pixels > 1):
+        start = _first_armed(equilibrium(flux[0], cycle.edges_s, cycle.width_s, spad.dead_time_s), rng)
+    else:
+        start = -burn_in_cycles(spad, cycle.period_s), 0.0
     # The last bin of all may be shorter than the others.
     period = _Period(cycle.edges_s, cycle.width_s, min(cycle.front, n - 1), cycle.gate)
-    has_traps = spad.afterpulse_probability > 0
     diode = _Diode(
         spad.dead_time_s, spad.mode == "synchronous", spad.paralyzable,
         np.array(spad.trap_loads if has_traps else ()), np.array(spad.afterpulse_times_s if has_traps else ()),
         spad.crosstalk_probability, spad.array_columns or pixels,
     )  # fmt: skip
-    return np.asarray(_run(flux, period, diode, first_cycle, first_phase, cycles, rng))
+    return np.asarray(_run(flux, period, diode, *start, cycles, rng))
 
 
 def _first_armed(state: Equilibrium, rng: Generator) -> tuple[int, float]:

@@ -14,13 +14,12 @@ from datagen.detector.spad import Spad
 from datagen.records.arrays import Floats, Ints
 
 _ROUNDS = 200
-"""Most rounds of a self-consistent mean, which settles in 5 to 30. Half as many would do, too."""
+"""Most rounds of a self-consistent mean, which settles in 5 to 30."""
 _SETTLED = 1e-11
-"""Share of the detections that a round may change in a settled mean. Halved, it takes one round more at most."""
+"""Share of the detections that a round may change in a settled mean."""
 _PIECES, _MOST_PIECES = 32, 4096
 """Long background bins are cut into pieces of a 32nd of the shortest of trap times and dead time, at most 4096 a bin:
-avalanches caused in a piece are taken as uniform there. With half as many the moments of afterpulses have twice the
-error."""
+avalanches caused in a piece are taken as uniform there."""
 
 
 def one_per_cycle_mean(flux: Floats) -> Floats:

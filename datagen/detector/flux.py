@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from datagen.detector.irf import Kernel, measured_kernel, response_kernel, spread
@@ -24,9 +25,9 @@ from datagen.records.arrays import Bools, Floats, Ints
 N = TypeVar("N", bound=np.generic)
 
 _MAX_PERIOD_BINS = 8_000_000
-"""Most bins of a laser period: 64 MB for each array. Halved, long periods in short bins are refused from half on."""
+"""Most bins of a laser period: 64 MB for each array."""
 _RAMP_PIECES = 16
-"""Pieces of a ramp of the gate beyond the window. Halved, background events there have twice the error."""
+"""Pieces of a ramp of the gate beyond the window, in which background is taken as even."""
 
 
 @dataclass(frozen=True)
@@ -196,11 +197,32 @@ class Fold:
     columns: Ints
     shares: Floats
 
-    def __call__(self, values: Floats) -> Floats:
-        """(…, bins) values in the bins of the period, from values (…, lattice)."""
-        out = np.zeros((*values.shape[:-1], self.bins))
+    def with_row(self, row: int, columns: Ints, shares: Floats) -> Fold:
+        """The fold with one more position, behind all others, which is split over some bins."""
+        rows = np.append(self.rows, np.full(len(columns), row))
+        return replace(
+            self, rows=rows, columns=np.append(self.columns, columns), shares=np.append(self.shares, shares)
+        )
+
+    def aligned_of(self, values: NDArray[N]) -> NDArray[N]:
+        """(…, bins) those of the values (…, lattice) that are copied whole."""
+        out = np.zeros((*values.shape[:-1], self.bins), values.dtype)
         low, high = self.aligned.start, self.aligned.stop
         out[..., low:high] = values[..., low - self.first : high - self.first]
+        return out
+
+    def draw(self, counts: Ints, rng: Generator) -> Ints:
+        """(h, bins) counts (h, lattice) in the bins of the period: those of a bin that is split are multinomial."""
+        out = self.aligned_of(counts)
+        rows, starts = np.unique(self.rows, return_index=True)
+        for row, start, stop in zip(rows, starts, np.append(starts, len(self.rows))[1:], strict=True):
+            split = rng.multinomial(counts[:, row], self.shares[start:stop])
+            np.add.at(out.T, self.columns[start:stop], split.T)
+        return out
+
+    def __call__(self, values: Floats) -> Floats:
+        """(…, bins) values in the bins of the period, from values (…, lattice)."""
+        out = self.aligned_of(values)
         for row, column, share in zip(self.rows, self.columns, self.shares, strict=True):
             out[..., column] += values[..., row] * share
         return out

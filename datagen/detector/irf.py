@@ -18,10 +18,10 @@ from datagen.records.arrays import Floats
 FWHM_PER_SIGMA = 2.0 * np.sqrt(2.0 * np.log(2.0))
 """Full width at half maximum of a Gaussian of unit standard deviation."""
 LONGEST_KERNEL = 4_000_000
-"""Most taps of a response, 32 MB: a longer one is a mistake of units. Halved, the longest are refused."""
+"""Most taps of a response, 32 MB: a longer one is a mistake of units."""
 LONGEST_DIRECT = 4096
-"""Taps up to which a convolution is summed directly, exact to the last digit in every bin, however faint. Halved,
-more kernels go through the FFT, and faint bins beside a bright one lose digits."""
+"""Taps up to which a convolution is summed directly, exact to the last digit in every bin, however faint. An FFT is
+faster beyond, but faint bins beside a bright one lose digits in it."""
 
 
 @dataclass(frozen=True)

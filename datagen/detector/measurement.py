@@ -11,16 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.detector.flux import Cycle, N, cycle_of, flux_per_cycle
 from datagen.detector.spad import Exposure, Spad
-from datagen.detector.tdc import Tdc
-from datagen.detector.tdc_bins import TdcBins, pieces_for
+from datagen.detector.tdc import Tdc, TdcBins, pieces_for
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_reals, check_integer, check_kind
 
 _BLOCK_VALUES = 1 << 16
-"""Most flux values of a block of laser points: 0.5 MB, which caches hold. Halved, the overhead of numpy's calls takes
-a larger share of the time."""
+"""Most flux values of a block of laser points: 0.5 MB, which caches hold."""
 
 
 @dataclass(frozen=True)

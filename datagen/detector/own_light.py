@@ -26,8 +26,8 @@ from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
 
 NEGLIGIBLE = 1e-3
-"""Share of the detections that dead time may remove, or avalanches add, without being taken into account. Halved, the
-exact mean is solved for from half the flux on."""
+"""Share of the detections that dead time may remove, or avalanches add, without being taken into account: far below
+what any evidence is known to."""
 
 
 @dataclass(frozen=True)

@@ -8,50 +8,40 @@ from enum import IntEnum
 
 import numpy as np
 
-from datagen.detector.dead_time import PIECE_FLUX, most_in_window
+from datagen.detector.dead_time import most_in_window
 from datagen.detector.events import burn_in_cycles
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
 from datagen.detector.random_numbers import LARGEST_MEAN, check_countable
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints
 
 Where = Callable[[int], str]
 """Name of a histogram for error messages, from its number."""
 
 DEFAULT_TOLERANCE = 1e-3
-"""Largest relative bias of a cheaper sampler. Halved, exact samplers are used from half the flux on."""
+"""Largest relative bias of a cheaper sampler: less than the flux of a real measurement is known to."""
 HIDDEN_DEVIATION = 0.1
-"""Largest bias of a total count in its own standard deviations, too small for any test of a single histogram. Halved,
-exact samplers are used from a quarter of the exposure on."""
-ENSEMBLE_EVENTS = 2e6
-"""Detections per histogram above which free running is drawn by the approximate ensemble, if that is allowed. So many
-events take 0.2 s one by one; halved, the ensemble is used from 0.1 s on."""
+"""Largest bias of a total count in its own standard deviations, too small for any test of a single histogram."""
+MANY_EVENTS = 2e6
+"""Events per histogram from which on detections are not drawn one by one, if an approximate variance is allowed. So
+many events take 0.1 s."""
 MOST_EVENTS = 2e7
-"""Events per histogram above which samplers that draw them one by one are refused, as they would take seconds and
-more. Halved, exposures are refused from half of that time on."""
-
-_CHAIN_NS, _EVENT_NS = 120.0, 40.0
-"""Nanoseconds for a piece in a chain of binomials, and for a detection drawn in order. Their ratio decides from how
-many detections on the chain is used; with either halved the slower way takes at most twice as long as the other."""
+"""Events per histogram above which drawing them one by one is refused, as it would take seconds and more."""
 
 
 class Sampler(IntEnum):
     """The ways in which counts are drawn."""
 
     POISSON = 0
-    """Independent Poisson counts."""
-    HAZARD_CHAIN = 1
-    """Synchronous, one detection in a cycle at most."""
-    RETURN_CHAIN = 2
-    """Synchronous, several detections in a cycle."""
-    FREE_RUNNING_EVENTS = 3
-    """Free running, one detection after another."""
-    CYCLE_ENSEMBLE = 4
-    """Free running as independent runs of cycles; exact in the mean, approximate in the variance."""
-    AVALANCHES = 5
-    """Afterpulsing, paralyzable dead time or crosstalk, one avalanche after another."""
+    """Independent Poisson counts of the flux."""
+    CHAIN = 1
+    """Synchronous: all cycles at once, bin after bin."""
+    EVENTS = 2
+    """One detection after another: free running, afterpulsing, paralyzable dead time, crosstalk."""
+    MULTINOMIAL = 3
+    """A normal total, shared out as in the expected histogram: exact in the mean, approximate in the variance."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +80,10 @@ class Choices:
     """How each of h histograms is drawn, or all pixels of each of h laser points if crosstalk couples them.
 
     sampler : (h,) values of `Sampler`.
-    in_order : (h,) whether the detections of a synchronous detector are so few that they are drawn one by one.
     flux, bias, deviation, detections : (h,) as of `SamplerChoice`.
     """
 
     sampler: Ints
-    in_order: Bools
     flux: Floats
     bias: Floats
     deviation: Floats
@@ -107,8 +95,7 @@ def choose(
 ) -> Choices:
     """The choice for each of h histograms, from their flux (h, n); for pixels coupled by crosstalk, from its sum.
 
-    Raises `InputError`, naming the histogram by `where`, if it can only be drawn approximately and not `approximate`,
-    or if it would take too long.
+    Raises `InputError`, naming the histogram by `where`, if it can only be drawn approximately and not `approximate`.
     """
     totals = flux.sum(axis=1)
     events = totals * exposure.cycles
@@ -123,69 +110,44 @@ def choose(
         if spad.mode == "free_running":
             detections = events / (1.0 + totals * share)
     sampler = np.full(len(flux), int(Sampler.POISSON))
-    in_order = np.zeros(len(flux), bool)
-    beyond = np.flatnonzero((bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION)))
-    if len(beyond):
-        burn_in = detections[beyond] * burn_in_cycles(spad, cycle.period_s) / exposure.cycles
-        sampler[beyond] = _beyond_poisson(
-            flux[beyond], cycle, spad, approximate, events[beyond], detections[beyond], burn_in,
-            lambda row: where(int(beyond[row])),
-        )  # fmt: skip
-        chained = beyond[(sampler[beyond] == Sampler.HAZARD_CHAIN) | (sampler[beyond] == Sampler.RETURN_CHAIN)]
-        if len(chained):
-            # A chain cuts bins by their flux, and into pieces shorter than the dead time.
-            pieces = len(cycle.gate) + totals[chained] / PIECE_FLUX + cycle.period_s / spad.dead_time_s
-            few = detections[chained]
-            in_order[chained] = (few * _EVENT_NS < pieces * _CHAIN_NS) & (few <= MOST_EVENTS)
+    beyond = (bias > 0) & ~((bias <= tolerance) & (deviation <= HIDDEN_DEVIATION))
+    if beyond.any():
+        sampler[beyond] = Sampler.EVENTS
+        causes = spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0
+        if spad.mode == "synchronous" and not causes:
+            # With one detection a cycle it does not matter what restarts the dead time.
+            once = spad.dead_time_s >= active_span(flux, cycle)
+            sampler[beyond & (once | (not spad.paralyzable))] = Sampler.CHAIN
+        burn_in = detections * (burn_in_cycles(spad, cycle.period_s) / exposure.cycles)
+        # Every photon restarts a paralyzable dead time, so all of them are drawn.
+        drawn = np.where(sampler == Sampler.EVENTS, np.maximum(detections, burn_in), 0.0)
+        if approximate:
+            sampler[drawn > MANY_EVENTS] = Sampler.MULTINOMIAL
+        elif len(many := np.flatnonzero(drawn > MOST_EVENTS)):
+            raise InputError(f"{where(int(many[0]))}: {_too_many(drawn[many[0]], spad)}")
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
     if len(uncountable):
         check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
-    return Choices(sampler, in_order, totals, bias, deviation, detections)
+    return Choices(sampler, totals, bias, deviation, detections)
 
 
-def _beyond_poisson(
-    flux: Floats, cycle: Cycle, spad: Spad, approximate: bool, events: Floats, detections: Floats, burn_in: Floats,
-    where: Where,
-) -> Ints | Sampler:  # fmt: skip
-    """(h,) samplers of histograms for which Poisson numbers would be too biased; parameters as of `choose`.
-
-    events, detections : (h,) expected in the exposure. burn_in : (h,) detections simulated before the exposure, in
-    which a diode forgets how it started.
-    """
-    fewer = "lower cycles or photons_per_pulse, close the gate on the direct return"
-    no_faster = f" and no faster sampler exists; {fewer}"
-    if spad.afterpulse_probability > 0 or spad.crosstalk_probability > 0:
-        what = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
-        _check_few(detections, where, f"events with {what}", f"{no_faster}, or switch {what} off")
-        memory = f"traps of {max(spad.afterpulse_times_s):g} s and a dead time of {spad.dead_time_s:g} s"
-        _check_few(
-            burn_in, where, "events before the exposure",
-            f", until {memory} forget how they started; shorten afterpulse_times_s or dead_time_s, or switch {what} "
-            "off",
-        )  # fmt: skip
-        return Sampler.AVALANCHES
-    one = spad.dead_time_s >= active_span(flux, cycle) if spad.mode == "synchronous" else np.zeros(len(flux), bool)
-    if spad.paralyzable:
-        what = "a paralyzable dead time"
-        each = np.where(one, 0.0, events)
-        _check_few(each, where, f"events with {what}", f"{no_faster}, or switch {what} off")
-        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.AVALANCHES)
-    if spad.mode == "synchronous":
-        return np.where(one, Sampler.HAZARD_CHAIN, Sampler.RETURN_CHAIN)
-    many = approximate & (detections > ENSEMBLE_EVENTS)
-    _check_few(
-        np.where(many, 0.0, detections), where, "free-running detections",
-        "; allow an approximate variance with approximate=True, or lower cycles or photons_per_pulse",
-    )  # fmt: skip
-    return np.where(many, Sampler.CYCLE_ENSEMBLE, Sampler.FREE_RUNNING_EVENTS)
+def _too_many(events: float, spad: Spad) -> str:
+    """Why events of a detector cannot be drawn one by one, and what to do."""
+    memory = max(spad.dead_time_s, max(spad.afterpulse_times_s) if spad.afterpulse_probability > 0 else 0.0)
+    return (
+        f"{events:.2g} events with {_kind(spad)} and a memory of {memory:g} s, at most {MOST_EVENTS:.0e} "
+        "are drawn one by one; lower cycles or photons_per_pulse, close the gate on the direct return, or allow an "
+        "approximate variance with approximate=True"
+    )
 
 
-def _check_few(events: Floats, where: Where, what: str, remedy: str) -> None:
-    """Raise `InputError` for the first histogram whose events (h,) are too many to be drawn one by one."""
-    for row in np.flatnonzero(events > MOST_EVENTS):
-        raise InputError(
-            f"{where(int(row))}: {events[row]:.2g} {what}, at most {MOST_EVENTS:.0e} are drawn one by one{remedy}"
-        )
+def _kind(spad: Spad) -> str:
+    """What makes detections depend on one another, so that they are drawn one after another."""
+    if spad.afterpulse_probability > 0:
+        return "afterpulsing"
+    if spad.crosstalk_probability > 0:
+        return "crosstalk"
+    return "a paralyzable dead time" if spad.paralyzable else "a dead time that spans cycles"
 
 
 def poisson_bias(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
@@ -225,7 +187,7 @@ def summarise(choices: list[Choices], spad: Spad, tolerance: float) -> SamplerCh
     counted = {Sampler(code).name.lower(): int((sampler == code).sum()) for code in np.unique(sampler)}
     chosen = Sampler(int(sampler[brightest]))
     reason = _reason(chosen, spad, bias, deviation, detections, tolerance)
-    approximate = bool((sampler == Sampler.CYCLE_ENSEMBLE).any())
+    approximate = bool((sampler == Sampler.MULTINOMIAL).any())
     return SamplerChoice(
         chosen.name.lower(), reason, dict(sorted(counted.items())), flux, bias, deviation, detections, tolerance,
         approximate,
@@ -243,17 +205,12 @@ def _reason(sampler: Sampler, spad: Spad, bias: float, deviation: float, detecti
             f"relative bias ≤ {bias:.2g} (tolerance {tolerance:.2g}) and ≤ {deviation:.2g} standard deviations "
             f"(allowed {HIDDEN_DEVIATION:g})"
         )
-    cause = "afterpulsing" if spad.afterpulse_probability > 0 else "crosstalk"
     why = {
-        Sampler.HAZARD_CHAIN: "the dead time lasts to the end of the cycle",
-        Sampler.RETURN_CHAIN: "the dead time is shorter than the cycle",
-        Sampler.FREE_RUNNING_EVENTS: "the dead time spans cycles",
-        Sampler.CYCLE_ENSEMBLE: (
-            f"{detections:.2g} detections, more than {ENSEMBLE_EVENTS:.0e}, are drawn as independent runs of cycles: "
-            "exact in the mean, approximate in the variance"
-        ),
-        Sampler.AVALANCHES: (
-            "every photon restarts the dead time" if spad.paralyzable else f"{cause} is drawn avalanche by avalanche"
+        Sampler.CHAIN: "all laser cycles are counted together, bin after bin",
+        Sampler.EVENTS: f"{_kind(spad)} is drawn detection by detection",
+        Sampler.MULTINOMIAL: (
+            f"{detections:.2g} detections, more than {MANY_EVENTS:.0e}, are shared out at random around their mean; "
+            "their variance is approximate"
         ),
     }[sampler]
     return f"Poisson would be biased by up to {bias:.2g} ({deviation:.2g} standard deviations); {why}"

@@ -19,7 +19,7 @@ from datagen.detector import Exposure, Spad
 from datagen.detector.flux import cycle_of, dark_count_rates, photon_kernel
 from datagen.detector.irf import response_kernel
 from datagen.detector.sampler_choice import avalanches_caused
-from datagen.detector.tdc_bins import TdcBins, pieces_for
+from datagen.detector.tdc import TdcBins, pieces_for
 from datagen.effects.rule import Change, Effect
 from datagen.records import TimeAxis
 from datagen.records.arrays import Floats
@@ -138,7 +138,7 @@ def _unequal_bins(given: Detection) -> Change:
     Let A_ji be the share of the records of bin i that TDC bin j counts, and w_j = Σ_i A_ji its width. Then
     ‖(A − 1) x‖ ≤ m ‖x‖, m² = max_i 2 (1 − A_ii) · max_j (1 − A_jj + w_j − A_jj), the product of the largest sums of a
     column and of a row: ‖A − 1‖² ≤ ‖A − 1‖₁ ‖A − 1‖_∞. Where detections are not uniform within a bin
-    (`tdc_bins.PIECES`), at most exp(M) times as many records change their bin, with M the most events within a dead
+    (`tdc.PIECES`), at most exp(M) times as many records change their bin, with M the most events within a dead
     time. Afterpulses may come in any part of a bin.
     """
     unequal, spad = given.unequal_bins, given.spad

@@ -21,8 +21,8 @@ AXIS, CYCLES = TimeAxis(1024, 100e-12), 10**6
 PERIOD_S = AXIS.bins * AXIS.width_s
 FLUXES = (0.01, 0.1, 1.0, 4.0)
 """Events per cycle."""
-BLOCK, SLOW = 16, ("free_running_events", "avalanches")
-"""Histograms drawn at once, and the samplers that go event by event, of which one histogram is drawn."""
+BLOCK, SLOW = 16, ("events",)
+"""Histograms drawn at once, and the sampler that goes event by event, of which one histogram is drawn."""
 REPEATS, TIMED_S = 5, 0.08
 CASES = {
     "ideal": Spad(pde=1.0, mode="ideal"),

@@ -11,27 +11,13 @@ import pytest
 from scipy.stats import binom, chi2, norm, poisson
 from statistics_kit import accept
 
-from datagen.detector import Exposure, Spad, detect, expected_histogram
-from datagen.detector.chain import draw_hazard_chain
-from datagen.detector.dead_time import equilibrium, synchronous_mean
-from datagen.detector.events import draw_free_running
-from datagen.detector.flux import cycle_of
+from datagen.detector import Exposure, Spad, choose_sampler, detect, expected_histogram
 from datagen.detector.irf import response_cdf, response_kernel, spread
 from datagen.detector.random_numbers import binomial, generator_of
-from datagen.detector.sampler_choice import poisson_bias
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 
 TIME = TimeAxis(100, 1e-9)
-
-
-def test_hazard_chain_from_nothing_to_infinity():
-    lam = np.array([0.0, 1e-300, 1.0, 0.0, np.inf, 5.0])
-    counts = draw_hazard_chain(lam, 10**6, generator_of(1))
-    assert counts[[0, 1, 3, 5]].tolist() == [0, 0, 0, 0]
-    assert counts.sum() == 10**6
-    assert abs(counts[2] - 1e6 * -np.expm1(-1)) < 6e3
-    assert draw_hazard_chain(np.array([1e4, 1.0]), 10**9, generator_of(2)).tolist() == [10**9, 0]
 
 
 @pytest.mark.parametrize(
@@ -123,15 +109,11 @@ def test_flux_of_ten_thousand_per_cycle():
     """Free running at λ τ ≫ 1: counts are nearly regular, and the mean of a long run agrees with the solver."""
     lam = np.random.default_rng(0).random(100) ** 3
     lam *= 1e4 / lam.sum()
-    edges = np.linspace(0, 1e-7, 101)
     for tau in (33.337e-9, 250e-9):
-        state = equilibrium(lam, edges, 1e-9, tau)
-        total = 1e4 / (1 + 1e4 * tau / 1e-7)
-        assert state.mean.sum() == pytest.approx(total, rel=2e-3)
-        spad = Spad(dead_time_s=tau)
-        cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 10**4, state, generator_of(1))
-        assert counts.sum() == pytest.approx(1e4 * total, rel=2e-3)
+        spad, exposure = Spad(pde=1.0, dead_time_s=tau), Exposure(1e7, 10**4, 1.0)
+        total = 1e8 / (1 + 1e4 * tau / 1e-7)
+        assert expected_histogram(lam, TIME, spad, exposure).sum() == pytest.approx(total, rel=2e-3)
+        assert detect(lam, TIME, spad, exposure).sum() == pytest.approx(total, rel=2e-3)
 
 
 def test_two_thousand_photons_in_a_paralyzable_dead_time():
@@ -147,12 +129,8 @@ def test_two_thousand_photons_in_a_paralyzable_dead_time():
 def test_empty_bins_are_never_hit():
     lam = np.zeros(100)
     lam[[7, 8, 60]] = 0.5, 1e-9, 0.3
-    edges = np.linspace(0, 1e-7, 101)
     for tau in (1e-9, 50e-9, 3e-7):
-        state = equilibrium(lam, edges, 1e-9, tau)
-        spad = Spad(dead_time_s=tau)
-        cycle = cycle_of(TIME, spad, Exposure(1e7))
-        counts = draw_free_running(lam, cycle, spad, 200_000, state, generator_of(4))
+        counts = detect(lam, TIME, Spad(pde=1.0, dead_time_s=tau), Exposure(1e7, 200_000, 1.0), seed=4)
         assert counts[lam == 0].sum() == 0
         assert counts[7] > 0 and counts[60] > 0
 
@@ -214,20 +192,14 @@ def test_saturated_mean_of_binomial_counts(jitter, dead_time):
 
 def test_poisson_bias_bounds_the_true_bias():
     rng = np.random.default_rng(5)
-    edges = np.linspace(0, 1e-7, 101)
     for _ in range(30):
         lam = rng.random(100) ** 8
         lam *= 10 ** rng.uniform(-6, -1) / lam.sum()
         tau = 10 ** rng.uniform(-9, -6)
         for mode in ("free_running", "synchronous"):
             spad = Spad(pde=1.0, dead_time_s=tau, mode=mode)
-            setup = TimeAxis(100, 1e-9)
-            bound = poisson_bias(lam, cycle_of(setup, spad, Exposure()), spad)
-            mean = (
-                equilibrium(lam, edges, 1e-9, tau).mean
-                if mode == "free_running"
-                else synchronous_mean(lam, edges, 1e-9, tau)
-            )
-            true = np.max(1 - mean / lam)
+            exposure = Exposure(1e7, 10**6, 1.0)
+            bound = choose_sampler(lam, TIME, spad, exposure, approximate=True).poisson_bias
+            true = np.max(1 - expected_histogram(lam, TIME, spad, exposure) / (1e6 * lam))
             assert true <= bound * (1 + 1e-6) + 1e-12
             assert bound < 8 * true + 1e-9  # a useful bound

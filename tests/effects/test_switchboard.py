@@ -123,7 +123,7 @@ def test_decisions_are_stored_with_samples() -> None:
     assert sample.parameters["effect.afterpulsing.on"] is True
     assert sample.parameters["effect.afterpulsing.kind"] == "always"
     assert "effect.afterpulsing.estimate" not in sample.parameters
-    assert sample.parameters["sampler.name"] == "avalanches"
+    assert sample.parameters["sampler.name"] == "events"
     assert sample.parameters["detector.dark_count_rate_hz"] == 100
     assert {f"effect.{name}.on" for name in NAMES} <= set(sample.parameters)
 

@@ -15,7 +15,7 @@ from statistics_kit import accept, mean_is, same_law
 
 from datagen.config.detector import DetectorConfig
 from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
-from datagen.detector.tdc_bins import TdcBins, tdc_widths
+from datagen.detector.tdc import TdcBins, tdc_widths
 from datagen.records import TimeAxis
 
 REAL = Path(__file__).parents[3] / "shared" / "real" / "linospad2_tdc.csv.gz"
