@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.building.build import BuildResult, build
+from datagen.building.input_check import parts_in_one_place
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning
 from datagen.labels.boxes import classes_in
-from datagen.pipeline import BACKGROUND_FIELDS, parts_in_one_place, sample_of
+from datagen.pipeline import BACKGROUND_FIELDS, sample_of
 from datagen.records import Capture, Sample, Scene
 from datagen.records.arrays import Floats
 
