@@ -14,13 +14,14 @@ import yaml
 from datasets import write_dataset
 
 import datagen as dg
+from datagen.building.input_check import check_inputs
 from datagen.capture.device_optics import footprints
 from datagen.config import config_from_mapping, load_config, time_axes
 from datagen.detector import detector_for
 from datagen.devices import device_names
 from datagen.errors import InputError, InputWarning
 from datagen.formats import export
-from datagen.pipeline import check_inputs, simulate_sample
+from datagen.pipeline import simulate_sample
 from datagen.store.scenes import Scenes
 from datagen.store.schema import schema_of
 
