@@ -131,7 +131,7 @@ def test_a_stored_configuration_of_either_place_is_read_again(place: str) -> Non
         ({"screen_offset_m": 0.2}, {}, "screen_offset_m with place = 'in_front': has no meaning there"),
         ({"place": "beside", "beside_m": 1.0}, {}, "beside_m with place = 'beside'"),
         ({"relay_distance_m": 3.0}, {}, "objects stand farther from the wall than the device"),
-        ({"device_height_m": 9.0}, {}, "device_height_m: no wall is higher than the device"),
+        ({"device_height_m": 9.0}, {}, "the device stands above it; lower the first or raise height_m"),
         ({"place": "behind"}, {}, "scene.layout.place = 'behind': input should be 'beside' or 'in_front'"),
         ({}, {"distance_m": 1.0, "along": 0.3}, "along and distance_m: both say where the object stands"),
         ({}, {"offset_m": 1.0, "across": 0.3}, "across and offset_m: both say where the object stands"),
