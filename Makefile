@@ -15,19 +15,20 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo smoke test tests check lint types format schema fuzz nightly hard-cases bench bench-scaling \
+.PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly hard-cases bench bench-scaling \
 	bench-detector bench-loaders bench-evidence bench-foreign bench-targets bench-promise bench-peers peers \
-	wheel clean
+	wheel wheel-demo clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
 	@echo "make setup   the virtual environment .venv and nothing else"
 	@echo "make smoke   one tiny scene from its configuration to a training batch, in seconds"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
-	@echo "make format  rewrite the sources in house style;  make schema   regenerate configs/schema.json"
+	@echo "make format  rewrite the sources in house style"
+	@echo "make generated  remake configs/schema.json, docs/api.md and docs/materials.md from the sources"
 	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
 	@echo "make nightly the long statistical runs (hours)"
-	@echo "make docs    docs/api.md from the docstrings, docs/materials.md;  make wheel   a wheel in dist/;  make clean   remove what was made"
+	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
 	@echo "             -evidence, -foreign, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
@@ -36,7 +37,7 @@ setup: $(STAMP)
 # Of 14 000 installed files a fifth is ever imported: each is compiled when it is.
 $(STAMP): pyproject.toml constraints.txt docker/system-packages.txt
 	@test -n "$(PYTHON)" || { echo "datagen: Python 3.11, 3.12 or 3.13 is needed; none was found on PATH" >&2; exit 2; }
-	@sh docker/install-system-packages.sh
+	@sh docker/install-system-packages.sh docker/system-packages.txt "open3d will not load"
 	@$(PYTHON) -m venv $(VENV) || { echo "datagen: $(PYTHON) -m venv failed; on Debian install python3-venv" >&2; exit 2; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[tests]'
 	@touch $@
@@ -62,19 +63,22 @@ lint: setup
 types: setup
 	$(BIN)/mypy
 
-tests: setup
+tests: setup $(VENV)/.browser
 	$(BIN)/python -m pytest -n $(JOBS)
+
+# A browser, 300 MB on Debian, for the tests of the preview page alone; tried once, by root only.
+$(VENV)/.browser: docker/browser-packages.txt | setup
+	@[ "$$(id -u)" != 0 ] || command -v google-chrome >/dev/null || \
+		sh docker/install-system-packages.sh docker/browser-packages.txt "the tests of the preview page are skipped"
+	@touch $@
 
 format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-schema: setup
+# JSON Schema from the keys, the API reference from the docstrings, the table of materials from the catalogue.
+generated: setup
 	$(BIN)/datagen schema > configs/schema.json
-
-# The API reference, from the docstrings, and the table of materials, from the catalogue.
-.PHONY: docs
-docs: setup
 	$(BIN)/python docs/make_api.py
 	$(BIN)/python docs/make_materials.py
 
@@ -130,7 +134,18 @@ peers: setup
 	$(BIN)/python -m pytest -m peers -s tests/peers
 
 wheel: setup
+	rm -rf build
 	$(BIN)/python -m pip wheel --quiet --no-deps -w dist .
+
+# As somebody who installs the package sees it: neither the checkout nor `.venv`, only a configuration is at hand.
+wheel-demo:
+	rm -rf out/wheel build
+	$(PYTHON) -m venv out/wheel/.venv
+	out/wheel/.venv/bin/python -m pip wheel --quiet --no-deps -w out/wheel .
+	out/wheel/.venv/bin/python -m pip install --quiet --no-compile -c constraints.txt out/wheel/*.whl
+	cp $(CONFIG) out/wheel/demo.yaml
+	cd out/wheel && .venv/bin/datagen build demo.yaml demo.zarr --workers 2
+	cd out/wheel && .venv/bin/datagen info demo.zarr && .venv/bin/datagen show demo.zarr 0
 
 clean:
 	rm -rf $(VENV) out dist build *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis

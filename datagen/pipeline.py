@@ -1,45 +1,39 @@
-"""The spine: scene spec → Scene → Capture → Transient → histogram → labels → Sample."""
+"""The spine: configuration → Scene → Capture → light → counts → labels → Sample."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from itertools import islice
-from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.config.distributions import largest_count
 from datagen.design.light import light_of, transport_effects
 from datagen.design.scene_for import scene_for
-from datagen.detector import Exposure, SamplerChoice, Spad, choose_sampler, detect_and_choice, detector_for
-from datagen.devices import share_of_late_zones, zone_depth
+from datagen.detector import Exposure, SamplerChoice, Spad, detect_and_choice, detector_for
+from datagen.devices import zone_depth
 from datagen.effects import EffectDecisions, decide_detector_effects
-from datagen.errors import InputError, InputWarning
+from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.image import representative_pairs
-from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
+from datagen.evidence.own import UNKNOWN, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
-from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
-from datagen.labels import LABEL_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.evidence.presence import Presence, presence_against, presence_parameters, presence_table
+from datagen.labels import LABEL_FIELDS, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
-from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
 from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE, geometry_fields
-from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
 from datagen.transport.visibility.raycast import Raycaster
-from datagen.units import path_from_time
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
@@ -53,94 +47,202 @@ def simulate_sample(config: DatasetConfig, index: int) -> Sample:
     with _timed(seconds, "scene"):
         scene = scene_for(config, index)
         capture = capture_for(config, scene, config.seed, index)
-    return sample_of(config, index, scene, capture, seconds=seconds)
+    return sample_of(config, index, scene, capture, seconds)
 
 
 def sample_of(
-    config: DatasetConfig, index: int, scene: Scene, capture: Capture, given: Floats | None = None, *,
-    seconds: dict[str, float] | None = None,
-) -> Sample:  # fmt: skip
-    """Sample `index` of a scene and a capture, wherever these come from: light, counts, labels.
+    config: DatasetConfig, index: int, scene: Scene, capture: Capture, seconds: dict[str, float] | None = None
+) -> Sample:
+    """Sample `index` of a scene and a capture, wherever these come from. seconds : those of earlier stages."""
+    setup = Setup.of(config, index, scene, capture, seconds)
+    return sample_from(setup, simulated_light(setup))
 
-    given : (L, P, T) transient of another simulator, in place of ours. seconds : wall-clock seconds by stage so far,
-    to which those of the stages here are added.
+
+def sample_from(setup: Setup, light: SceneLight) -> Sample:
+    """The sample of a scene whose light is known, wherever this comes from: counts, labels and their parameters."""
+    counts = counts_of(setup, light)
+    arrays, detectability = labels_of(setup, light, counts)
+    arrays |= _measured(setup, light, counts) | _geometry(setup)
+    return Sample(setup.index, arrays, _parameters(setup, light, counts) | detectability, setup.seconds)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A scene and the device that measures it.
+
+    scene : without surfaces of two parts in one place.
+    caster : of the scene's triangles.
+    seconds : wall-clock seconds by stage; every stage adds its own.
     """
-    seed, seconds = config.seed, dict[str, float]() if seconds is None else seconds
-    with _timed(seconds, "effects"):
-        scene = set_apart(scene, capture).scene
-        caster = Raycaster(scene)
-        effects = EffectDecisions((), 0.0)
-        if given is None:
-            effects = transport_effects(config, scene, capture, index, caster)
-    spad, exposure = detector_for(config.detector, seed, index, capture.time)
-    with _timed(seconds, "transport"):
-        if given is None:
-            light = light_of(config, index, scene, capture, effects, spad, exposure, caster)
-            transient = light.transient()
-            if np.isnan(transient.laser_points).all():
-                raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
-        else:
-            stderr, overflow = np.full(given.shape, np.nan), np.zeros(given.shape[:2])
-            lit = lit_points(caster, capture.laser)
-            transient = Transient(capture.time, {"given": given}, {}, stderr, overflow, lit.position)
-    total = transient.total
-    with _timed(seconds, "effects"):
-        effects += detector_effects(config, total, transient.time, spad, exposure)
-    with _timed(seconds, "detector"):
-        used, conditions, tolerance = effects.apply_detector(spad, exposure, config.detector.tolerance)
+
+    config: DatasetConfig
+    index: int
+    scene: Scene
+    capture: Capture
+    caster: Raycaster
+    spad: Spad
+    exposure: Exposure
+    seconds: dict[str, float]
+
+    @classmethod
+    def of(
+        cls, config: DatasetConfig, index: int, scene: Scene, capture: Capture,
+        seconds: dict[str, float] | None = None,
+    ) -> Setup:  # fmt: skip
+        """The setup of scene `index`, with the configured detector. seconds : those of earlier stages."""
+        seconds = dict[str, float]() if seconds is None else seconds
+        with _timed(seconds, "effects"):
+            scene = set_apart(scene, capture).scene
+            caster = Raycaster(scene)
+        spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
+        return cls(config, index, scene, capture, caster, spad, exposure, seconds)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the fields to be stored."""
+        return self.config.store.fields
+
+    def seed(self, purpose: Purpose) -> int:
+        """The seed of the scene's random stream for a purpose."""
+        return derived_seed(self.config.seed, self.index, purpose)
+
+
+NO_DECISIONS = EffectDecisions((), 0.0)
+
+
+@dataclass(frozen=True)
+class SceneLight:
+    """The light of a scene, from whichever simulator.
+
+    transient : the light to be detected. An object that its `parts` lack has an unknown evidence.
+    effects : decisions on the effects of the transport.
+    background : (L, P, T) the light of the scene without its objects; None if it is not stored, or not known.
+    in_sight : object in plain sight → (L, P, T) its light that is not in the transient's `parts`.
+    without : (object, transient of the scene without it), which is simulated as it is read. An object that is not
+        there has an unknown presence.
+    """
+
+    transient: Transient
+    effects: EffectDecisions = NO_DECISIONS
+    background: Floats | None = None
+    in_sight: Mapping[str, Floats] = field(default_factory=dict)
+    without: Iterable[tuple[str, Transient]] = ()
+
+
+def simulated_light(setup: Setup) -> SceneLight:
+    """The light of a scene, by our own transport. Raises `InputError` if no laser ray meets a surface."""
+    config, scene, capture, caster = setup.config, setup.scene, setup.capture, setup.caster
+    with _timed(setup.seconds, "effects"):
+        effects = transport_effects(config, scene, capture, setup.index, caster)
+    with _timed(setup.seconds, "transport"):
+        light = light_of(config, setup.index, scene, capture, effects, setup.spad, setup.exposure, caster)
+        transient = light.transient()
+        if np.isnan(transient.laser_points).all():
+            raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
+    background = None
+    if any(name in BACKGROUND_FIELDS for name in setup.fields):
+        with _timed(setup.seconds, "background"):
+            background = light.background().total
+    with _timed(setup.seconds, "evidence"):
+        in_sight = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if scene.objects else {}
+    without = ((name, light.without(name)) for name in scene.objects)
+    return SceneLight(transient, effects, background, in_sight, without)
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The counts of a scene.
+
+    histogram : (L, P, T) detections.
+    background : those of the scene without its objects; None without that light.
+    spad, exposure : the detector that counted, without the effects that were left out.
+    effects : decisions on all effects, those of the transport included.
+    """
+
+    histogram: NDArray[np.integer]
+    background: NDArray[np.integer] | None
+    spad: Spad
+    exposure: Exposure
+    effects: EffectDecisions
+    sampler: SamplerChoice
+
+
+def counts_of(setup: Setup, light: SceneLight) -> Counts:
+    """The light, detected."""
+    config, total, time = setup.config, light.transient.total, light.transient.time
+    with _timed(setup.seconds, "effects"):
+        effects = light.effects + detector_effects(config, total, time, setup.spad, setup.exposure)
+    with _timed(setup.seconds, "detector"):
+        spad, exposure, tolerance = effects.apply_detector(setup.spad, setup.exposure, config.detector.tolerance)
         detect_counts = partial(
-            detect_and_choice, time=capture.time, spad=used, exposure=conditions, tolerance=tolerance,
+            detect_and_choice, time=time, spad=spad, exposure=exposure, tolerance=tolerance,
             approximate=config.detector.approximate,
         )  # fmt: skip
-        counts, sampler = detect_counts(total, seed=derived_seed(seed, index, Purpose.DETECTOR))
-    measured = {"histogram": counts, "transient": total, "transient_stderr": transient.stderr}
-    if given is None and any(field in BACKGROUND_FIELDS for field in config.store.fields):
-        with _timed(seconds, "background"):
-            empty = light.background().total
-            empty_counts, _ = detect_counts(empty, seed=derived_seed(seed, index, Purpose.BACKGROUND))
-        measured |= {"background_histogram": empty_counts, "background_transient": empty}
-    has_evidence_image = "evidence" in config.store.fields
-    with _timed(seconds, "labels"):
-        surface = hidden_surface(scene, config.labels.rows, config.labels.columns) if has_evidence_image else None
-    with _timed(seconds, "evidence"):
-        # A transient that another simulator made is not split by object.
-        parts = scene.objects if given is None else ()
-        scan_pairs = representative_pairs(caster, scene, capture) if has_evidence_image else None
-        in_sight = light_in_sight(light.scene, capture, light.accuracy, light.seed, caster) if parts else {}
-        evidence, gain = evidence_and_gain(transient, used, conditions, parts, scan_pairs, in_sight)
-        evidence = evidence if given is None else dict.fromkeys(scene.objects, UNKNOWN)
-        image = {} if surface is None else {"evidence": evidence_image(caster, surface, capture, scan_pairs, gain)}
+        histogram, sampler = detect_counts(total, seed=setup.seed(Purpose.DETECTOR))
+    background = None
+    if light.background is not None:
+        with _timed(setup.seconds, "background"):
+            background, _ = detect_counts(light.background, seed=setup.seed(Purpose.BACKGROUND))
+    return Counts(histogram, background, spad, exposure, effects, sampler)
+
+
+def labels_of(
+    setup: Setup, light: SceneLight, counts: Counts
+) -> tuple[dict[str, NDArray[np.generic]], dict[str, Scalar]]:
+    """Field → what is to be learned about the scene; and how well its objects can be detected, as parameters."""
+    config, scene, fields, capacity = setup.config, setup.scene, setup.fields, setup.config.scene.most_objects()
+    timed = partial(_timed, setup.seconds)
+    arrays, pairs, surface = dict[str, NDArray[np.generic]](), None, None
+    if "evidence" in fields:
+        with timed("labels"):
+            surface = hidden_surface(scene, config.labels.rows, config.labels.columns)
+        with timed("evidence"):
+            pairs = representative_pairs(setup.caster, scene, setup.capture)
+    with timed("evidence"):
+        split = [name for name in scene.objects if name in light.transient.parts]
+        known, gain = evidence_and_gain(light.transient, counts.spad, counts.exposure, split, pairs, light.in_sight)
+        evidence = {name: known.get(name, UNKNOWN) for name in scene.objects}
+        if surface is not None:
+            arrays["evidence"] = evidence_image(setup.caster, surface, setup.capture, pairs, gain)
     presence = dict[str, Presence]()
-    if "presence" in config.store.fields:
-        with _timed(seconds, "presence"):
-            presence = dict.fromkeys(scene.objects, PRESENCE_UNKNOWN)
-            if given is None:
-                presence = presence_evidence(
-                    light.scene, capture, light.accuracy, used, conditions, seed=light.seed, transient=transient
-                )
-    with _timed(seconds, "labels"):
-        wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
-        capacity = config.scene.most_objects()
-        labels = make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
+    if "presence" in fields:
+        with timed("presence"):
+            compared = presence_against(light.transient, light.without, counts.spad, counts.exposure)
+            presence = {name: compared.get(name, PRESENCE_UNKNOWN) for name in scene.objects}
+        arrays["object_presence"] = presence_table(tuple(presence.values()), capacity)
+    with timed("labels"):
+        wanted = [name for name in fields if name in LABEL_FIELDS]
+        arrays |= make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
         if "objects" in wanted:
-            labels |= evidence_tables(tuple(evidence.values()), capacity)
-        if "zone_depth" in config.store.fields:
-            labels["zone_depth"] = zone_depth(scene, capture).astype(np.float32)
-        if "presence" in config.store.fields:
-            labels["object_presence"] = presence_table(tuple(presence.values()), capacity)
-    arrays: dict[str, NDArray[np.generic]] = {
-        name: values for name, values in measured.items() if name in config.store.fields
+            arrays |= evidence_tables(tuple(evidence.values()), capacity)
+        if "zone_depth" in fields:
+            arrays["zone_depth"] = zone_depth(scene, setup.capture).astype(np.float32)
+    return arrays, evidence_parameters(evidence) | presence_parameters(presence)
+
+
+def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDArray[np.generic]]:
+    """Field → counts, or the light that they are drawn from, of those fields that are stored."""
+    measured: dict[str, NDArray[np.generic] | None] = {
+        "histogram": counts.histogram,
+        "transient": light.transient.total,
+        "transient_stderr": light.transient.stderr,
+        "background_histogram": counts.background,
+        "background_transient": light.background,
     }
+    return {name: values for name, values in measured.items() if values is not None and name in setup.fields}
+
+
+def _geometry(setup: Setup) -> dict[str, NDArray[np.generic]]:
+    """Field → where laser, sensor, relay wall and hidden view are."""
+    scene, laser, sensor = setup.scene, setup.capture.laser, setup.capture.sensor
     wall, view = (
         None if face is None else np.stack([face.center, face.right, face.up])
         for face in (scene.relay_wall, scene.hidden_view)
     )
-    arrays |= labels | image | geometry_fields(
-        lit_points(caster, capture.laser), capture.sensor.pixels, seen_points(caster, capture.sensor),
-        capture.laser.position, capture.sensor.position, wall, view, scene.hidden_bounds,
+    return geometry_fields(
+        lit_points(setup.caster, laser), sensor.pixels, seen_points(setup.caster, sensor), laser.position,
+        sensor.position, wall, view, scene.hidden_bounds,
     )  # fmt: skip
-    parameters = _parameters(scene, spad, exposure, effects, sampler, transient, evidence, counts)
-    return Sample(index, arrays, parameters | presence_parameters(presence), seconds)
 
 
 def detector_effects(
@@ -148,96 +250,6 @@ def detector_effects(
 ) -> EffectDecisions:
     """The detector's effects that a transient calls for, each with its estimate."""
     return decide_detector_effects(total, time, spad, exposure, config.effects, config.detector.tolerance)
-
-
-SCENES_TRIED = 16
-"""Scenes that are generated before a build, without light, to find a configuration that cannot be simulated. With
-half as many, one that fails in one scene of ten would pass 43 % of the time instead of 19 %."""
-LIT_SCENES_TRIED = 4
-"""The same where scenes are accepted by their light, which takes seconds for each: half as many find less, sooner."""
-
-
-LATE_SCENES = 0.25
-"""Share of the scenes tried in which most zones may look beyond the end of the time axis. Halved, sensors that look
-into large rooms on purpose are warned of, too."""
-
-
-def check_inputs(config: DatasetConfig) -> None:
-    """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
-    furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
-    of meshes, and zones whose light arrives after the time axis ends.
-    """
-    check_scene_config(config.scene)
-    most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
-    tried = [_tried(config, index) for index in range(min(config.scenes, most))]
-    capture = tried[0][1]
-    spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
-    dark = np.zeros((1, *capture.shape[1:]))
-    tolerance, approximate = config.detector.tolerance, config.detector.approximate
-    choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried)):
-        warn(warning, InputWarning, stacklevel=3)
-
-
-def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
-    """A warning for each thing that is possible and most likely not meant: no objects; meshes with holes or bent
-    faces."""
-    if not any(largest_count(item.count) for item in config.scene.contents):
-        yield (
-            "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
-            "the key out for a pillar and a box"
-        )
-    volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
-    meshes = list(meshes_named(config.scene))
-    for where, _, doubt in meshes:
-        if doubt:
-            yield f"{where}: {doubt}"
-    closed = meshes if volumes else ()
-    holed = [where for where, of, _ in closed if open_share(of.vertices[of.triangles]) > LARGEST_HOLE_SHARE]
-    if holed:
-        more = f" and {len(holed) - 1} more" if len(holed) > 1 else ""
-        yield (
-            f"{holed[0]}{more}: the mesh is not closed, so it has no inside: only its surface is in "
-            f"{' and '.join(volumes)}; close it in a mesh editor, or leave the field out (store.fields)"
-        )
-
-
-def parts_in_one_place(scenes: Iterable[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if parts of one of the first `SCENES_TRIED` scenes, made in Python, lie in one place.
-
-    In rooms that are drawn objects stand on the floor, an open one with a bottom that is lit: this is meant.
-    """
-    for index, (scene, capture) in enumerate(islice(scenes, SCENES_TRIED)):
-        warning = set_apart(scene, capture).warning
-        if warning:
-            yield f"scene {index}: {warning}"
-            return
-
-
-def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> Iterator[str]:
-    """A warning if in many of the scenes tried most zones get their direct light after the time axis ends."""
-    if not config.transport.direct or config.capture.time.origin != "source":
-        return
-    late = sum(share_of_late_zones(scene, capture) > 0.5 for scene, capture in tried)
-    if late > LATE_SCENES * len(tried):
-        reach_m = float(path_from_time(config.capture.time.axis().stop_s)) / 2
-        yield (
-            f"capture: in {late} of {len(tried)} scenes most zones see things farther away than the time axis "
-            f"reaches ({reach_m:.2g} m), so their histograms are empty; bring the device nearer "
-            "(at_objects.distance_m, layout.relay_distance_m), or take more bins"
-        )
-
-
-def _tried(config: DatasetConfig, index: int) -> tuple[Scene, Capture]:
-    """Scene `index`, generated without light, and its capture; an `InputError` names any scene but the first."""
-    scene = scene_for(config, index)
-    try:
-        return scene, capture_for(config, scene, config.seed, index)
-    except InputError as error:
-        if index == 0:
-            raise
-        raise InputError(f"scene {index} (seed {config.seed}): {error}") from None
 
 
 @contextmanager
@@ -248,10 +260,9 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
-def _parameters(
-    scene: Scene, spad: Spad, exposure: Exposure, effects: EffectDecisions, sampler: SamplerChoice,
-    transient: Transient, evidence: Mapping[str, Evidence], counts: NDArray[np.integer],
-) -> dict[str, Scalar]:  # fmt: skip
+def _parameters(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, Scalar]:
+    """The scalars of a sample, but for those of detectability: drawn numbers, decisions, errors, effort."""
+    scene, transient = setup.scene, light.transient
     inside, outside = float(transient.total.sum()), float(transient.overflow.sum())
     # The position of the scan on the label images.
     place = None if scene.hidden_view is None else scan_place(scene.hidden_view, transient.laser_points)
@@ -259,18 +270,17 @@ def _parameters(
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
         **({} if place is None else dict(zip(SCAN_PLACE, place, strict=True))),
-        **_scalars("detector", asdict(spad)),
-        **_scalars("exposure", asdict(exposure)),
-        **effects.parameters(),
-        **_scalars("sampler", sampler.parameters()),
+        **_scalars("detector", asdict(setup.spad)),
+        **_scalars("exposure", asdict(setup.exposure)),
+        **counts.effects.parameters(),
+        **_scalars("sampler", counts.sampler.parameters()),
         "transient.energy": inside,
         "transient.overflow": outside / (inside + outside) if inside + outside > 0 else 0.0,
         "transient.relative_error": transient.relative_error,
         **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
         **_scalars("transient.part_error", transient.part_errors),
         **({} if transient.spend is None else _scalars("transport.spend", transient.spend.parameters())),
-        **evidence_parameters(evidence),
-        "histogram.counts": int(counts.sum()),
+        "histogram.counts": int(counts.histogram.sum()),
     }
 
 

@@ -1,4 +1,4 @@
-"""Writes docs/materials.md, the table of the material catalogue: `make docs`."""
+"""Writes docs/materials.md, the table of the material catalogue: `make generated`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PAGE = Path(__file__).with_name("materials.md")
 INTRODUCTION = """\
 # Materials
 
-For everyone who names materials in a configuration. `make docs` makes this page from `scene_library/materials.py`.
+For everyone who names materials in a configuration. `make generated` makes this page of `scene_library/materials.py`.
 
 A material's albedo is its hemispherical reflectance at `scene.wavelength_nm`: the mean below, moved by a random tint
 that is uniform within ± the spread (narrowed where it would pass 0 or 100 %). Between the listed wavelengths both are

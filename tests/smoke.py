@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import datagen as dg
 from datagen.config import config_from_mapping
-from datagen.pipeline import sample_of
+from datagen.pipeline import SceneLight, Setup, sample_from
 from datagen.records import Sample
 from datagen.store import verify
 from datagen.transport.reference import reference
@@ -42,7 +42,7 @@ def simulated(config: dg.DatasetConfig, index: int) -> Sample:
     scene = dg.scene_for(config, index)
     capture = dg.capture_for(config, scene, config.seed, index)
     light = reference(scene, capture, max_bounces=3, samples=SAMPLES, replicates=2, seed=config.seed)
-    return sample_of(config, index, scene, capture, light.total)
+    return sample_from(Setup.of(config, index, scene, capture), SceneLight(light))
 
 
 def loaded(root: Path) -> list[dict[str, NDArray[np.generic]]]:

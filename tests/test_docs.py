@@ -104,12 +104,12 @@ def test_commands_and_options_exist(page: Path) -> None:
 
 def test_api_page_is_current() -> None:
     page = runpy.run_path(str(ROOT / "docs/make_api.py"))["page"]()
-    assert page == TEXTS[ROOT / "docs/api.md"], "docstrings have changed since docs/api.md was written: make docs"
+    assert page == TEXTS[ROOT / "docs/api.md"], "docstrings have changed since docs/api.md: make generated"
 
 
 def test_materials_page_is_current() -> None:
     page = runpy.run_path(str(ROOT / "docs/make_materials.py"))["page"]()
-    assert page == TEXTS[ROOT / "docs/materials.md"], "the catalogue has changed since docs/materials.md: make docs"
+    assert page == TEXTS[ROOT / "docs/materials.md"], "materials have changed since docs/materials.md: make generated"
 
 
 def test_api_page_lists_every_configuration_key() -> None:

@@ -165,9 +165,10 @@ def build(
         if not accept_mixed:
             _check_unmixed(root, there)
         if sample_function is None:
-            from datagen import pipeline
+            from datagen.building.input_check import check_inputs
+            from datagen.pipeline import simulate_sample
 
-            sample_function, input_check = pipeline.simulate_sample, input_check or pipeline.check_inputs
+            sample_function, input_check = simulate_sample, input_check or check_inputs
         if input_check is not None:
             input_check(config)
         try:

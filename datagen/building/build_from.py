@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.building.build import BuildResult, build
+from datagen.building.input_check import parts_in_one_place
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning
 from datagen.labels.boxes import classes_in
-from datagen.pipeline import BACKGROUND_FIELDS, parts_in_one_place, sample_of
-from datagen.records import Capture, Sample, Scene
+from datagen.pipeline import BACKGROUND_FIELDS, SceneLight, Setup, sample_from, simulated_light
+from datagen.records import Capture, Sample, Scene, Transient
 from datagen.records.arrays import Floats
+from datagen.transport.visibility.lines_of_sight import lit_points
 
 
 def build_from(
@@ -121,7 +123,16 @@ class GivenSamples:
     def __call__(self, config: DatasetConfig, index: int) -> Sample:
         """Sample number `index`."""
         item: Given = pickle.loads((Path(self.folder) / str(index)).read_bytes())
-        return sample_of(config, index, _with_digest(item), item.capture, item.transient)
+        setup = Setup.of(config, index, _with_digest(item), item.capture)
+        light = simulated_light(setup) if item.transient is None else _imported_light(setup, item.transient)
+        return sample_from(setup, light)
+
+
+def _imported_light(setup: Setup, transient: Floats) -> SceneLight:
+    """The light of another simulator: not split by object, with an unknown error, and nothing outside the window."""
+    unknown, nothing = np.full(transient.shape, np.nan), np.zeros(transient.shape[:2])
+    lit = lit_points(setup.caster, setup.capture.laser).position
+    return SceneLight(Transient(setup.capture.time, {"given": transient}, {}, unknown, nothing, lit))
 
 
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:

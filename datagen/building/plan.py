@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from datagen.building.engines import check_workers
+from datagen.building.input_check import check_inputs
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
-from datagen.pipeline import check_inputs, simulate_sample
+from datagen.pipeline import simulate_sample
 from datagen.records import Sample, Scalar
 from datagen.store import prepare, schema_of, write_shard
 from datagen.store.environment import cores

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from datagen.capture.device_optics import capture_at
 from datagen.capture.in_sight import check_in_sight
 from datagen.config.capture import AtObjects, CaptureConfig, Point
 from datagen.config.device import DeviceConfig
@@ -17,12 +18,11 @@ from scene_library.sightlines import first_faces
 
 UP = np.array([0.0, 0.0, 1.0])
 TRIES = 256
-"""Places tried for a device that looks straight at an object. Halved, a crowded room may be given up that has one."""
+"""Places tried for a device that looks straight at an object, enough for a crowded room with few free places."""
 STEEPEST = 2**-0.5
-"""Largest sine of the angle at which a device looks up or down at the middle of an object: 45 degrees. Halved, a
-sensor near an object on the floor stands lower."""
+"""Largest sine of the angle at which a device looks up or down at the middle of an object: 45 degrees."""
 ELBOW_ROOM_M = 0.05
-"""Least distance of a device from the first surface along each axis. Halved, some devices almost touch a wall."""
+"""Least distance of a device from the first surface along each axis."""
 
 
 def device_capture(
@@ -41,7 +41,7 @@ def device_capture(
         for key in ("sensor_position_m", "sensor_offset_m"):
             if getattr(settings, key) is not None:
                 check_in_sight(key, "point that the device looks at", scene, place, target[None])
-    return replace(device.capture_at(place, target, UP), time=settings.time.axis())
+    return replace(capture_at(device, place, target, UP), time=settings.time.axis())
 
 
 def _before_an_object(straight: AtObjects, scene: Scene, rng: np.random.Generator) -> tuple[Floats, Floats]:

@@ -4,38 +4,16 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, Self
 
 import pydantic
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationInfo, model_validator
 
 from datagen.errors import InputError
 
-if TYPE_CHECKING:
-    from pydantic._internal._model_construction import ModelMetaclass
-else:
-    # The name of pydantic's metaclass is private; at run time it is the type of any model.
-    ModelMetaclass = type(BaseModel)
 
-
-class _OneLineErrors(ModelMetaclass):
-    """Makes models that are wrong in Python raise the same one-line error as models read from a file.
-
-    A model within another one is made by pydantic itself, and its errors become errors of the outer one.
-    """
-
-    def __call__(cls, *values: Any, **named: Any) -> Any:
-        """The model of these values; raises `InputError` where they are not allowed."""
-        if values:
-            raise InputError(f"{cls.__name__}: takes keys by name, as in {cls.__name__}(key=value)")
-        try:
-            return super().__call__(**named)
-        except pydantic.ValidationError as error:
-            raise_input_error(cls.__name__, error, cast(type[BaseModel], cls))
-            raise
-
-
-class Settings(BaseModel, metaclass=_OneLineErrors):
+class Settings(BaseModel):
     """A frozen section of the configuration; unknown keys and values of another type are refused.
 
     Raises `InputError`, one line, where it is made of values that are not allowed.
@@ -49,6 +27,26 @@ class Settings(BaseModel, metaclass=_OneLineErrors):
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
+    def __init__(self, /, *values: Any, **named: Any) -> None:
+        if values:
+            raise InputError(f"{type(self).__name__}: takes keys by name, as in {type(self).__name__}(key=value)")
+        try:
+            super().__init__(**named)
+        except pydantic.ValidationError as error:
+            raise_input_error(type(self).__name__, error, type(self))
+
+    # As pydantic marks its own: a section inside another one is then made without it, and what is wrong there becomes
+    # an error of the outer section, with the whole path of the key.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    def _check(self) -> None:
+        """Raise `ValueError` where keys contradict each other."""
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
     def changed(self, *keys: str) -> list[str]:
         """Those of the keys whose value is not the default.
 
@@ -59,7 +57,22 @@ class Settings(BaseModel, metaclass=_OneLineErrors):
         return [key for key in keys if getattr(self, key) != fields[key].default]
 
 
-def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> None:
+def folder_of(info: ValidationInfo) -> Path:
+    """The configuration's folder (validation context), at which relative paths start."""
+    return Path((info.context or {}).get("base_directory") or ".")
+
+
+def resolved(path: str, info: ValidationInfo) -> Path:
+    """The absolute path of a file that a configuration names."""
+    return folder_of(info).resolve() / path
+
+
+def looks_for_files(info: ValidationInfo) -> bool:
+    """Whether files are looked for: the settings of a stored dataset are read even where its files are gone."""
+    return info.context is not None and bool(info.context.get("look_for_files", True))
+
+
+def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> NoReturn:
     """Raise `InputError` for the first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)
     # An unknown key is often the cause of a missing one, so it is named first.

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo
 
-from datagen.config.base import Settings
+from datagen.config.base import Settings, folder_of
 from datagen.config.device import DeviceConfig, device_of, read_device
 from datagen.config.distributions import Distribution, Length, Uniform, within
 from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
@@ -15,8 +14,8 @@ from datagen.records import TimeAxis
 
 Point = tuple[Coordinate, Coordinate, Coordinate]
 LARGEST_FLOOD = 2**28
-"""Largest number of values (points × pixels × bins) of a flood before its points are summed: 2 GiB. Half of it would
-refuse a flood of 64 × 64 points, 8 × 8 pixels and 1024 bins."""
+"""Largest number of values (points × pixels × bins) of a flood before its points are summed: 2 GiB, just enough for
+64 × 64 points, 8 × 8 pixels and 1024 bins."""
 
 
 class FieldOfView(Settings):
@@ -58,13 +57,10 @@ class TimeConfig(Settings):
 
 
 def _named_device(value: Any, info: ValidationInfo) -> Any:
-    """The device of a name, of a file's path, or of plain values, which then holds all that it consists of."""
-    folder = Path((info.context or {}).get("base_directory") or ".")
+    """The device of a name, of a file's path, or of plain values."""
     if isinstance(value, str):
-        value = read_device(value, DeviceConfig, folder)
-    elif isinstance(value, dict):
-        value = device_of(value, "device", DeviceConfig, folder)
-    return value.self_contained() if isinstance(value, DeviceConfig) else value
+        return read_device(value, DeviceConfig, folder_of(info))
+    return device_of(value, "device", DeviceConfig, folder_of(info)) if isinstance(value, dict) else value
 
 
 NamedDevice = Annotated[DeviceConfig, BeforeValidator(_named_device, json_schema_input_type=str | DeviceConfig)]
@@ -127,13 +123,12 @@ class CaptureConfig(Settings):
         own = isinstance(scan, GridScan) and (scan.width_m, scan.height_m, scan.center_m) != (None, None, None)
         return self.illumination == "flood" and isinstance(scan, GridScan) and not own and self.device is None
 
-    @model_validator(mode="after")
-    def _of_device(self) -> Self:
+    def _fill_from_device(self) -> None:
         """Fill in what follows from a device. A stored configuration states it as well, so the same is accepted."""
         if self.device is None:
             if self.at_objects is not None:
                 raise ValueError("at_objects without device: only a device looks straight at objects; name one")
-            return self
+            return
         for name, value in _of_device(self.device).items():
             if name in self.model_fields_set and getattr(self, name) != value:
                 raise ValueError(
@@ -147,10 +142,9 @@ class CaptureConfig(Settings):
                     f"{name} beside device {self.device.name!r}: the device's light.baseline_mm says where its laser "
                     "is; leave the key out, or move both by sensor_position_m or sensor_offset_m"
                 )
-        return self
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
+        self._fill_from_device()
         view, is_confocal, is_flood = self.field_of_view, self.pairing == "confocal", self.illumination == "flood"
         if is_confocal and view.rows * view.columns != 1:
             raise ValueError(
@@ -191,7 +185,6 @@ class CaptureConfig(Settings):
         for name in ("sensor_position_m", "sensor_offset_m") if self.at_objects is not None else ():
             if getattr(self, name) is not None:
                 raise ValueError(f"{name} with at_objects: both say where the device stands; leave one out")
-        return self
 
 
 def _of_device(device: DeviceConfig) -> dict[str, Any]:

@@ -8,10 +8,10 @@ import json
 import os
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import pydantic
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
 from datagen.config.base import Settings, raise_input_error
 from datagen.config.capture import CaptureConfig, TimeConfig
@@ -74,12 +74,11 @@ class DatasetConfig(Settings):
             "must be a name of the SPDX list (https://spdx.org/licenses) such as CC-BY-4.0, or an address (https://…)"
         )
 
-    @model_validator(mode="after")
-    def _with_device(self) -> Self:
+    def _fill_from_device(self) -> None:
         """Fill in what a device says about detector, wavelength and light, as far as it is not given."""
         device = self.capture.device
         if device is None:
-            return self
+            return
         if "wavelength_nm" not in self.scene.model_fields_set:
             wavelength = checked_wavelength_nm(device.wavelength_nm)
             self._fill("scene", self.scene.model_copy(update={"wavelength_nm": wavelength}))
@@ -97,42 +96,31 @@ class DatasetConfig(Settings):
         if device.is_flood and "direct" not in self.transport.model_fields_set:
             self._fill("transport", self.transport.model_copy(update={"direct": True}))
         self._fill("detector", self.detector.of_device(device))
-        return self
 
     def _fill(self, section: str, settings: Settings) -> None:
         object.__setattr__(self, section, settings)
 
-    @model_validator(mode="after")
-    def _whole_bins(self) -> Self:
+    def _check(self) -> None:
+        self._fill_from_device()
         bins, merged = self.capture.time.bins, self.detector.bins_merged
         if bins % merged:
             raise ValueError(
                 f"detector.bins_merged = {merged} with capture.time.bins = {bins}: the bins must be a multiple "
                 f"of it; take {max(bins // merged, 1) * merged} bins"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _axis_within_the_period(self) -> Self:
-        if self.detector.repetition_rate_mhz is None:
-            return self
-        slowest, fastest = support(self.detector.repetition_rate_mhz)
-        if beyond := self.capture.time.axis().beyond_period(fastest * 1e6):
-            drawn = f"{fastest:g}" if slowest == fastest else f"{slowest:g} … {fastest:g}"
-            raise ValueError(f"detector.repetition_rate_mhz = {drawn} with capture.time: {beyond}")
-        return self
+        if self.detector.repetition_rate_mhz is not None:
+            slowest, fastest = support(self.detector.repetition_rate_mhz)
+            if beyond := self.capture.time.axis().beyond_period(fastest * 1e6):
+                drawn = f"{fastest:g}" if slowest == fastest else f"{slowest:g} … {fastest:g}"
+                raise ValueError(f"detector.repetition_rate_mhz = {drawn} with capture.time: {beyond}")
+        if any(rule.classes for rule in self.splits.held_out):
+            self.splits.check_classes(self.scene.object_classes())
 
     @property
     def histogram_shape(self) -> tuple[int, int, int]:
         """(laser, pixel, bin) of every histogram: as of a transient, with `detector.bins_merged` bins as one."""
         lasers, pixels, bins = self.capture.shape
         return lasers, pixels, bins // self.detector.bins_merged
-
-    @model_validator(mode="after")
-    def _splits_are_possible(self) -> Self:
-        if any(rule.classes for rule in self.splits.held_out):
-            self.splits.check_classes(self.scene.object_classes())
-        return self
 
     def fingerprint(self) -> str:
         """Hex SHA-256 of everything that decides the samples' content: all settings but those `WITHOUT_EFFECT` (a
@@ -189,7 +177,6 @@ def config_from_mapping(
         return DatasetConfig.model_validate_json(text, context=context)
     except pydantic.ValidationError as error:
         raise_input_error(source, error, DatasetConfig)
-        raise
     except (TypeError, ValueError) as error:
         raise InputError(f"{source}: holds a value that is no text, number, list or mapping ({error})") from None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.config.device import DeviceConfig
@@ -24,12 +24,10 @@ class GateConfig(Settings):
     rise_ps: NotNegative = 0.0
     """The sensitivity climbs and falls linearly within this time at either end."""
 
-    @model_validator(mode="after")
-    def _rise_fits(self) -> GateConfig:
+    def _check(self) -> None:
         rise, width = support(self.rise_ps)[1], support(self.width_ns)[0]
         if 2e-3 * rise > width:
             raise ValueError(f"rise_ps = {rise:g}: must be at most half of width_ns = {width:g} ns")
-        return self
 
 
 class ExposureFor(Settings):
@@ -131,8 +129,7 @@ class DetectorConfig(Settings):
     approximate: bool = False
     """Allow approximations where the exact sampler or mean cannot be had."""
 
-    @model_validator(mode="after")
-    def _one_exposure(self) -> DetectorConfig:
+    def _check(self) -> None:
         if self.exposure_for is not None and self.changed("cycles"):
             raise ValueError("cycles and exposure_for are both given, and each sets the exposure; leave one out")
         if self.found_for is not None and (self.exposure_for is not None or "cycles" not in self.model_fields_set):
@@ -141,7 +138,6 @@ class DetectorConfig(Settings):
             raise ValueError("pulse and pulse_fwhm_ps are both given, and each is the laser's pulse; leave one out")
         if self.tdc_edges_ps is not None and (drawn := self.changed("tdc_dnl", "tdc_period_bins")):
             raise ValueError(f"{drawn[0]} and tdc_edges_ps are both given, and each sets the bins; leave one out")
-        return self
 
     def of_device(self, device: DeviceConfig) -> DetectorConfig:
         """These settings, with the device's numbers for all that is not given.

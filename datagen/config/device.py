@@ -13,23 +13,17 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
-from scipy.special import ndtr
+from pydantic import Field, ValidationError, ValidationInfo, model_validator
 
-from datagen.config.base import Settings, near_hint, raise_input_error
+from datagen.config.base import Settings, folder_of, near_hint, raise_input_error
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
-from datagen.records import Capture, Laser, Pairing, Sensor, TimeAxis
+from datagen.records import Pairing, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.untrusted import one_line, read_npz
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
 """Folder of the catalogue."""
-FOOTPRINT_CELLS = 24
-"""Cells along each side of a blurred zone's footprint. Halved, its sensitivity has steps twice as high."""
-BLURS_BESIDE = 3.0
-"""Standard deviations of the blur that a footprint extends beyond its zone's box. Halved, 7 % of the sensitivity at
-the box's edge is cut off."""
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -49,7 +43,7 @@ class Zones(Settings):
     """Instead of rows, columns and field: (right, up) of each zone's middle, its width and height, in tangents."""
     map: str | None = None
     """Instead of boxes: an .npz file beside the device file, with `weights` (zones, rows, columns) ≥ 0, row 0 at the
-    bottom, and `extent` (left, right, bottom, top) in tangents."""
+    bottom, and `extent` (left, right, bottom, top) in tangents. It is read at once, into `boxes` and `weights`."""
     weights: tuple[tuple[tuple[NotNegative, ...], ...], ...] = ()
     """Sensitivity over each zone's box, (zones, rows, columns), row 0 at the bottom; left out: even."""
     blur: NotNegative = 0.0
@@ -69,11 +63,10 @@ class Zones(Settings):
 
     @property
     def count(self) -> int:
-        """Number of zones, as far as it is known without reading a map."""
+        """Number of zones."""
         return len(self.boxes) or self.rows * self.columns
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         given = [bool(self.boxes), self.map is not None, self.field_deg is not None]
         if sum(given) != 1:
             raise ValueError("zones: exactly one of boxes, map, and field_deg (with rows and columns) is needed")
@@ -82,62 +75,28 @@ class Zones(Settings):
                 raise ValueError(
                     f"zones.{name}: {len(getattr(self, name))} numbers given for {self.count} zones; give one a zone"
                 )
-        if self.weights and (self.blur > 0 or self.map is not None):
-            raise ValueError(
-                "zones.weights beside blur or map: all say how sensitive a zone is; leave the others out"
-            )
+        if bool(self.weights) + (self.map is not None) + (self.blur > 0) > 1:
+            raise ValueError("zones: weights, map and blur each say how a zone's sensitivity fades; give one of them")
         if len({(len(zone), len(row)) for zone in self.weights for row in zone}) > 1:
             raise ValueError("zones.weights: zones or rows of unequal length; give (zones, rows, columns)")
         if self.field_deg is not None and max(self.field_deg) >= 180:
             raise ValueError(f"zones.field_deg = {list(self.field_deg)}: must be below 180 degrees")
-        return self
 
-    def placed(self) -> tuple[Box, ...]:
-        """The box of each zone, in tangents."""
-        if self.boxes or self.field_deg is None:
-            return self.boxes
-        width, height = (2 * _tangent_of_half(side) for side in self.field_deg)
-        w, h = width / self.columns, height / self.rows
-        return tuple(
-            ((c + 0.5) * w - width / 2, height / 2 - (r + 0.5) * h, w, h)
-            for r in range(self.rows)
-            for c in range(self.columns)
-        )
+    @model_validator(mode="after")
+    def _map_read(self, info: ValidationInfo) -> Self:
+        """Take boxes and weights from the file `map`, so that a device holds all that it consists of."""
+        if self.map is not None:
+            (left, right, bottom, top), weights = _read_map(folder_of(info) / self.map, self.count)
+            box = ((left + right) / 2, (bottom + top) / 2, right - left, top - bottom)
+            object.__setattr__(self, "boxes", (box,) * len(weights))
+            object.__setattr__(self, "weights", tuple(tuple(map(tuple, zone)) for zone in weights.tolist()))
+            object.__setattr__(self, "map", None)
+        return self
 
     @property
     def are_even(self) -> bool:
         """Whether every zone is equally sensitive all over its box, and all zones alike."""
         return self.map is None and not self.weights and self.blur == 0 and not self.gains
-
-    def without_file(self, folder: Path) -> Zones:
-        """The same zones with the file `map`, if they have one, read into `boxes` and `weights`.
-
-        folder : where the file lies. Raises `InputError` where it cannot be read.
-        """
-        if self.map is None:
-            return self
-        extent, weights = _read_map(folder / self.map, self.count)
-        boxes = tuple(_box_of(extent) for _ in weights)
-        held = tuple(tuple(tuple(row) for row in zone) for zone in weights.tolist())
-        return self.model_copy(update={"map": None, "boxes": boxes, "weights": held})
-
-    def footprints(self, folder: Path) -> tuple[Floats, Floats | None]:
-        """Corners (P, 4, 2) of each zone in tangents, and its sensitivity over them (P, R, C), None if it is even.
-
-        folder : where the file `map` lies. Raises `InputError` where it cannot be read.
-        """
-        held = self.without_file(folder)
-        boxes, weights = np.array(held.placed()), np.array(held.weights) if held.weights else None
-        # Weights, those of a map too, say how the edges of a zone fade: a blur would do so again.
-        if weights is None and self.blur > 0:
-            boxes, weights = _blurred(boxes, self.blur)
-        if self.gains:
-            weights = np.ones((len(boxes), 1, 1)) if weights is None else weights
-            weights = weights * np.array(self.gains)[:, None, None]
-        x, y, w, h = boxes.T
-        left, right, low, high = x - w / 2, x + w / 2, y - h / 2, y + h / 2
-        corners = [(left, low), (right, low), (right, high), (left, high)]
-        return np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1), weights
 
 
 class Light(Settings):
@@ -158,11 +117,9 @@ class Light(Settings):
     confocal: bool = False
     """Of a scan: one pixel looks at each point of the scan and nowhere else; its size is `zones.field_deg`."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.confocal and self.kind != "scan":
             raise ValueError(f"light.confocal with kind {self.kind!r}: only a scan is confocal; leave it out")
-        return self
 
 
 class Timing(Settings):
@@ -190,11 +147,9 @@ class EmittedPulse(Settings):
     start_ps: float = 0.0
     """Start of the first step, after the moment that counts as emission."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if (self.fwhm_ps is None) == (not self.samples) or bool(self.samples) != (self.sample_ps is not None):
             raise ValueError("pulse: either fwhm_ps, or samples with sample_ps, is needed")
-        return self
 
 
 class Counting(Settings):
@@ -246,15 +201,11 @@ class DeviceConfig(Settings):
     counting: Counting
     sources: dict[str, str] = Field(default_factory=dict)
     """Key (or section) → where its numbers come from; an estimate begins with `estimate`."""
-    folder: Annotated[str, Field(exclude=True)] = ""
-    """Folder of the file that it was read from, where a map lies; not written, as it depends on the machine."""
 
-    @model_validator(mode="after")
-    def _axis_within_the_period(self) -> Self:
+    def _check(self) -> None:
         rate_mhz = self.counting.repetition_rate_mhz
         if beyond := self.axis.merged(self.time.steps).beyond_period(rate_mhz * 1e6):
             raise ValueError(f"counting.repetition_rate_mhz = {rate_mhz:g} with time: {beyond}")
-        return self
 
     @property
     def pairing(self) -> Pairing:
@@ -266,72 +217,12 @@ class DeviceConfig(Settings):
         """Whether all of the light is there at once."""
         return self.light.kind != "scan"
 
-    def self_contained(self) -> Self:
-        """The device without the file that it may name (`zones.map`), whose content it then holds itself."""
-        zones = self.zones.without_file(Path(self.folder))
-        return self.model_copy(update={"zones": zones, "folder": ""})
-
-    def capture_at(self, place: Floats, target: Floats, vertical: Floats) -> Capture:
-        """The capture of the device at `place` (3,), whose axis passes through `target` (3,); the sensor's vertical
-        is the direction nearest to `vertical` (3,).
-
-        Raises `InputError` where `target` is at the place, or `vertical` along the axis.
-        """
-        forward = target - place
-        right = np.cross(forward, vertical)
-        if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(vertical):
-            raise InputError(
-                f"Device.at: toward = {target.tolist()} and up = {vertical.tolist()} give no orientation: "
-                "toward must differ from position, and up must not lie along the axis"
-            )
-        forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-        above = np.cross(right, forward)
-        laser, sensor = self._optics(place, np.stack([right, above, forward]))
-        return Capture(laser, sensor, self.axis, self.pairing, "flood" if self.is_flood else "scan")
-
-    def _optics(self, place: Floats, frame: Floats) -> tuple[Laser, Sensor]:
-        """Laser and sensor at a place; the rows of `frame` (3, 3) are the unit vectors right, up and forward."""
-        right, above, forward = frame
-        light, zones = self.light, self.zones
-        lit_from = place + 1e-3 * (light.baseline_mm[0] * right + light.baseline_mm[1] * above)
-        half = [_tangent_of_half(side) for side in light.field_deg]
-        grid = Laser.flood(lit_from, lit_from + forward, half[0] * right, half[1] * above, light.rows, light.columns)
-        weights = None
-        if light.spread is not None:
-            aside = grid.targets - lit_from
-            tangents = aside @ right, aside @ above
-            weights = np.exp(-0.5 * (tangents[0] ** 2 + tangents[1] ** 2) / light.spread**2)
-        cells = grid.cells if light.kind == "flood" else None
-        laser = Laser(lit_from, grid.targets, weights, cells)
-        radius = 1e-3 * zones.aperture_radius_mm
-        corners, sensitivity = zones.footprints(Path(self.folder))
-        corners = place + forward + corners[..., :1] * right + corners[..., 1:] * above
-        if light.confocal:
-            # The one pixel is carried along with the beam.
-            corners = corners + (grid.targets - (place + forward))[:, None]
-        glass = zones.glass or None
-        delays = np.array(zones.delays_ps) * 1e-12 if zones.delays_ps else None
-        return laser, Sensor(place, corners, radius, False, sensitivity, zones.crosstalk, glass, delays)
-
     @property
     def axis(self) -> TimeAxis:
         """The time axis that is simulated, `time.steps` times finer than the device's bins."""
         width = self.time.bin_width_ps * 1e-12
         steps = self.time.steps
         return TimeAxis(self.time.bins * steps, width / steps, -self.time.zero_bin * width, "source")
-
-    def __str__(self) -> str:
-        """A table of all numbers and where each comes from."""
-        lines = [f"{self.name}: {self.description}", f"  wavelength_nm = {self.wavelength_nm:g}"]
-        for section in ("zones", "light", "time", "pulse", "counting"):
-            for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
-                lines.append(f"  {section}.{key} = {_short(value)}")
-                lines.append(f"      {self.source_of(section, key)}")
-        return "\n".join(lines)
-
-    def source_of(self, section: str, key: str) -> str:
-        """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
-        return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
 
 
 @cache
@@ -366,41 +257,16 @@ def device_of(values: dict[str, Any], source: str, model: type[AnyDevice], folde
     """The device of plain values. folder : where a file `zones.map` lies. Raises `InputError` that begins with
     `source`."""
     try:
-        return model.model_validate_json(json.dumps(values | {"folder": str(folder)}))
+        return model.model_validate_json(json.dumps(values), context={"base_directory": str(folder)})
     except ValidationError as error:
         raise_input_error(source, error, model)
-        raise
 
 
-def _tangent_of_half(degrees: float) -> float:
-    """tan(angle / 2)."""
-    half = np.radians(degrees) / 2
-    return float(np.tan(half))
+def _read_map(path: Path, zones: int) -> tuple[list[float], Floats]:
+    """Extent (left, right, bottom, top) and weights (zones, rows, columns) of a measured map.
 
-
-def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:
-    """Boxes (P, 4) with room for the blur, and the sensitivity of each over them (P, R, C).
-
-    A box convolved with a Gaussian is, along each side, Φ((x − low)/σ) − Φ((x − high)/σ).
+    Raises `InputError` where it is none.
     """
-    wider = boxes.copy()
-    wider[:, 2:] += 2 * BLURS_BESIDE * blur
-    middles = (np.arange(FOOTPRINT_CELLS) + 0.5) / FOOTPRINT_CELLS - 0.5
-    along = []
-    for side in (2, 3):
-        x, half = middles * wider[:, side, None], boxes[:, side, None] / 2
-        along.append(ndtr((x + half) / blur) - ndtr((x - half) / blur))
-    return wider, along[1][:, :, None] * along[0][:, None, :]
-
-
-def _box_of(extent: Floats) -> Box:
-    """The box of an extent (left, right, bottom, top)."""
-    left, right, bottom, top = extent.tolist()
-    return (left + right) / 2, (bottom + top) / 2, right - left, top - bottom
-
-
-def _read_map(path: Path, zones: int) -> tuple[Floats, Floats]:
-    """Extent (4,) and weights (zones, rows, columns) of a measured map; raises `InputError` where it is none."""
     with one_line(f"zones.map: {path}: cannot be read", "an .npz with extent and weights is needed"):
         arrays, _ = read_npz(path, ("extent", "weights"))
         extent, weights = np.asarray(arrays["extent"], float), np.asarray(arrays["weights"], float)
@@ -410,10 +276,4 @@ def _read_map(path: Path, zones: int) -> tuple[Floats, Floats]:
             f"zones.map: {path}: extent {extent.tolist()}, weights {weights.shape}; (left, right, bottom, top) in "
             "tangents and finite weights ≥ 0 of (zones, rows, columns) are needed"
         )
-    return extent, weights
-
-
-def _short(value: object) -> str:
-    """A value for the table; long lists are cut."""
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"
+    return extent.tolist(), weights

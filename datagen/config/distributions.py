@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
-from datagen.config.base import Settings, tag_of
+from datagen.config.base import Settings
 
 
 class Uniform(Settings):
@@ -24,10 +24,8 @@ class Uniform(Settings):
 
     uniform: tuple[float, float]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Uniform:
+    def _check(self) -> None:
         _check_range("uniform", *self.uniform)
-        return self
 
     def _draw(self, rng: np.random.Generator) -> float:
         low, high = self.uniform
@@ -42,13 +40,11 @@ class LogUniform(Settings):
 
     log_uniform: tuple[float, float]
 
-    @model_validator(mode="after")
-    def _ordered(self) -> LogUniform:
+    def _check(self) -> None:
         low, high = self.log_uniform
         if low <= 0:
             raise ValueError(f"log_uniform = [{low:g}, {high:g}]: both bounds must be > 0")
         _check_range("log_uniform", low, high)
-        return self
 
     def _draw(self, rng: np.random.Generator) -> float:
         low, high = self.log_uniform
@@ -66,14 +62,12 @@ class NormalShape(Settings):
     low: float
     high: float
 
-    @model_validator(mode="after")
-    def _ordered(self) -> NormalShape:
+    def _check(self) -> None:
         _check_range("normal", self.low, self.high)
         if not self.low - 4 * self.std <= self.mean <= self.high + 4 * self.std:
             raise ValueError(
                 f"normal mean = {self.mean:g}: more than four std outside low … high = {self.low:g} … {self.high:g}"
             )
-        return self
 
 
 class Normal(Settings):
@@ -98,11 +92,9 @@ class Choice(Settings):
     choice: Annotated[tuple[float, ...], Field(min_length=1)]
     weights: tuple[Annotated[float, Field(ge=0)], ...] | None = None
 
-    @model_validator(mode="after")
-    def _weighted(self) -> Choice:
+    def _check(self) -> None:
         if self.weights is not None and (len(self.weights) != len(self.choice) or sum(self.weights) <= 0):
             raise ValueError(f"weights: {len(self.choice)} weights ≥ 0 with a positive sum are needed, one a value")
-        return self
 
     def _draw(self, rng: np.random.Generator) -> float:
         weights = np.ones(len(self.choice)) if self.weights is None else np.asarray(self.weights)
@@ -123,8 +115,8 @@ def _member(value: Any) -> str | None:
     if isinstance(value, (int, float)):
         return None if isinstance(value, bool) else "number"
     keys = value if isinstance(value, dict) else type(value).model_fields if isinstance(value, Settings) else ()
-    named = {"uniform": Uniform, "log_uniform": LogUniform, "normal": Normal, "choice": Choice}
-    return next((tag_of(model) for key, model in named.items() if key in keys), None)
+    tags = {"uniform": "Uniform", "log_uniform": "LogUniform", "normal": "Normal", "choice": "Choice"}
+    return next((tag for key, tag in tags.items() if key in keys), None)
 
 
 Distribution = Annotated[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field
 
 from datagen.config.base import Settings
 
@@ -59,14 +59,12 @@ class EffectsConfig(Settings):
     tdc_saturation: Switch = "auto"
     """Counters that stay at `detector.counter_max`."""
 
-    @model_validator(mode="after")
-    def _one_dead_time(self) -> EffectsConfig:
+    def _check(self) -> None:
         if self.dead_time_across_cycles == "on" and self.pile_up == "off":
             raise ValueError(
                 "dead_time_across_cycles = 'on' with pile_up = 'off': a dead time acts in its own cycle before it "
                 "reaches the next; set pile_up to 'on' or 'auto', or dead_time_across_cycles to 'auto'"
             )
-        return self
 
     def of(self, effect: str) -> str | int:
         """The setting of an effect by its name in the table. A dead time across cycles that is on turns pile-up

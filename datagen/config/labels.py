@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings
 
@@ -22,12 +22,10 @@ class LabelsConfig(Settings):
     voxels: tuple[Voxels, Voxels, Voxels] = (32, 32, 32)
     """Voxels of the volume labels: along depth (away from the wall), rows (downwards), columns."""
 
-    @model_validator(mode="after")
-    def _volume_fits(self) -> LabelsConfig:
+    def _check(self) -> None:
         depth, rows, columns = self.voxels
         if depth * rows * columns > 2**26:
             raise ValueError(
                 f"voxels = {list(self.voxels)}: {depth * rows * columns} voxels in all; at most {2**26} are allowed "
                 "(256 MiB of signed distances a scene)"
             )
-        return self

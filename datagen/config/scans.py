@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from datagen.config.base import Settings
 
@@ -35,24 +35,32 @@ class _Spread(Settings):
     the middle of the visible relay wall."""
 
 
-class GridScan(_Spread):
+class _Grid(_Spread):
+    """Scans of the points of a regular grid on the visible part of the relay wall."""
+
+    rows: PointCount = 16
+    """Points of the grid from top to bottom."""
+    columns: PointCount = 16
+    """Points of the grid from left to right, as seen from the room."""
+
+    def _check(self) -> None:
+        points = self.rows * self.columns
+        if points > LARGEST_SCAN:
+            raise ValueError(
+                f"rows × columns = {self.rows} × {self.columns} = {points}: at most {LARGEST_SCAN} points are "
+                "possible; lower one of them"
+            )
+
+
+class GridScan(_Grid):
     """Laser targets on a regular grid on the visible part of the relay wall."""
 
     kind: Literal["grid"] = "grid"
-    rows: PointCount = 16
-    """Laser points from top to bottom."""
-    columns: PointCount = 16
-    """Laser points from left to right, as seen from the room."""
 
     @property
     def laser_points(self) -> int:
         """The number of laser points."""
         return self.rows * self.columns
-
-    @model_validator(mode="after")
-    def _not_too_many(self) -> Self:
-        _refuse_too_many(self.rows, self.columns)
-        return self
 
 
 class PointsScan(Settings):
@@ -104,25 +112,19 @@ class RandomScan(_Spread, _CountedScan):
     kind: Literal["random"] = "random"
 
 
-class SubsetScan(_Spread, _CountedScan):
+class SubsetScan(_Grid, _CountedScan):
     """Some laser targets of a regular grid, drawn anew for every scene, in the grid's order; all choices are equally
     likely."""
 
     kind: Literal["subset"] = "subset"
-    rows: PointCount = 16
-    """Rows of the whole grid."""
-    columns: PointCount = 16
-    """Columns of the whole grid."""
 
-    @model_validator(mode="after")
-    def _part_of_the_grid(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if self.count > self.rows * self.columns:
             raise ValueError(
                 f"count = {self.count}: the grid has only {self.rows} × {self.columns} = {self.rows * self.columns} "
                 "points; lower count or raise rows and columns"
             )
-        _refuse_too_many(self.rows, self.columns)
-        return self
 
 
 class ImportedScan(_CountedScan):
@@ -134,14 +136,6 @@ class ImportedScan(_CountedScan):
     kind: Literal["imported"] = "imported"
     count: Annotated[int, Field(ge=1, le=2**22)]
     """How many laser points."""
-
-
-def _refuse_too_many(rows: int, columns: int) -> None:
-    if rows * columns > LARGEST_SCAN:
-        raise ValueError(
-            f"rows × columns = {rows} × {columns} = {rows * columns}: at most {LARGEST_SCAN} points are possible; "
-            "lower one of them"
-        )
 
 
 def _kind(scan: Any) -> str | None:

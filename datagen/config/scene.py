@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, largest_count, support, within
@@ -41,8 +41,7 @@ class SceneConfig(Settings):
     objects of a drawn room anew; the room itself (dimensions, number of objects, their classes, sizes and materials)
     is only drawn again when an eighth of the tries have failed with it, the next after half of that, and so on."""
 
-    @model_validator(mode="after")
-    def _possible(self) -> SceneConfig:
+    def _check(self) -> None:
         """Refuse what no draw can meet: an object whose smallest size exceeds the largest room."""
         room, height = self.layout.largest_hidden_m(), support(self.layout.height_m)[1]
         for i, item in enumerate(self.contents):
@@ -59,7 +58,6 @@ class SceneConfig(Settings):
                     f"contents[{i}].height_m ≥ {item.smallest_height_m():g}: no room is higher than {height:g} m; "
                     "lower it or raise layout.height_m"
                 )
-        return self
 
     @property
     def asks_for_evidence(self) -> bool:

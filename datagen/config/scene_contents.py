@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
-from datagen.config.base import near_hint
+from datagen.config.base import folder_of, looks_for_files, near_hint, resolved
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, support, within
 from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
@@ -20,21 +20,6 @@ ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """Names of the room's own parts."""
-
-
-def folder_of(info: ValidationInfo) -> Path:
-    """The absolute path of the configuration's folder (validation context), at which relative paths start."""
-    return Path((info.context or {}).get("base_directory") or ".").resolve()
-
-
-def resolved(path: str, info: ValidationInfo) -> Path:
-    """The absolute path of a file that a configuration names."""
-    return folder_of(info) / path
-
-
-def looks_for_files(info: ValidationInfo) -> bool:
-    """Whether files are looked for: the settings of a stored dataset are read even where its files are gone."""
-    return info.context is not None and bool(info.context.get("look_for_files", True))
 
 
 def _existing_file(path: str, info: ValidationInfo) -> str:
@@ -104,18 +89,13 @@ class Item(SurfaceMaterial):
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
 
-    @model_validator(mode="after")
-    def _not_reserved(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if self.name in RESERVED_NAMES:
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
-        return self
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Self:
         for share, metres in (("along", "distance_m"), ("across", "offset_m")):
             if getattr(self, metres) is not None and self.changed(share):
                 raise ValueError(f"{share} and {metres}: both say where the object stands; leave one of them out")
-        return self
 
     @property
     def part_name(self) -> str:
@@ -227,7 +207,7 @@ class MeshItem(Standing):
 
     @model_validator(mode="after")
     def _starts_in(self, info: ValidationInfo) -> Self:
-        self._base = folder_of(info)
+        self._base = folder_of(info).resolve()
         return self
 
     @property
@@ -240,11 +220,10 @@ class MeshItem(Standing):
         """Absolute path of the file or folder."""
         return self._base / self.path
 
-    @model_validator(mode="after")
-    def _front_across_up(self) -> Self:
+    def _check(self) -> None:
+        super()._check()
         if self.front is not None and self.front[-1] == self.up[-1]:
             raise ValueError(f"front = {self.front!r}: must lie across up = {self.up!r}; choose another axis")
-        return self
 
 
 class Mesh(MeshItem):

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
@@ -61,12 +61,7 @@ class Layout(Settings):
     def _largest(self, name: str) -> float:
         return support(getattr(self, name))[1]
 
-    @model_validator(mode="after")
-    def _within_limits(self) -> Self:
-        self._check_limits()
-        return self
-
-    def _check_limits(self) -> None:
+    def _check(self) -> None:
         """Refuse when not even the smallest value of one dimension is below the largest of the other."""
         ceiling = ("device_height_m", "height_m", "no room is higher than the device")
         for small, large, reason in (ceiling, *self.limits):
@@ -225,16 +220,11 @@ class IsolatedWall(Layout):
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
 
-    @model_validator(mode="after")
-    def _keys_of_its_place(self) -> Self:
+    def _check(self) -> None:
         for name in self.changed(*self._keys_of_the_other):
             raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
-        return self
-
-    def _check_limits(self) -> None:
-        """As for every layout; which dimensions bound which follows from the place."""
         if self.place == "beside":
-            super()._check_limits()
+            super()._check()
             return
         if "relay_distance_m" not in self.model_fields_set:
             # A default that follows from another key. The frozen model may still change, since nobody has it yet.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator
 
 from datagen.config.base import Settings, near_hint
 from datagen.config.distributions import Fraction, Uniform, draw
@@ -34,14 +34,12 @@ class SurfaceMaterial(Settings):
     brdf: BrdfSettings = LambertianBrdf()
     """How the surface scatters; `kind: catalogue` takes the lobe that the catalogue gives for `material`."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if isinstance(self.brdf, CatalogueBrdf) and not self.material:
             raise ValueError("brdf: kind 'catalogue' takes the lobe of a catalogue material; name one under material")
         # A dumped configuration holds the default albedo beside the material, so only another one is a contradiction.
         if self.material and self.albedo != type(self).model_fields["albedo"].default:
             raise ValueError("albedo and material are both given; leave one of them out")
-        return self
 
     def draw_material(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[Material, str | None]:
         """A drawn material, and its name in the catalogue; None for an albedo given by number."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings, near_hint
 from datagen.config.scene_contents import Name
@@ -36,8 +36,7 @@ class HeldOut(Settings):
     across: Range = None
     """Range of an object's `across`; with `along`, one object must lie in both ranges."""
 
-    @model_validator(mode="after")
-    def _says_something(self) -> Self:
+    def _check(self) -> None:
         if self.name in BY_SHARE:
             raise ValueError(f"name = {self.name!r}: is dealt out by share; choose another name")
         if not (self.classes or self.layouts or self.materials or self.files or self.along or self.across):
@@ -45,7 +44,6 @@ class HeldOut(Settings):
         for key, bounds in (("along", self.along), ("across", self.across)):
             if bounds is not None and bounds[0] > bounds[1]:
                 raise ValueError(f"{key} = {list(bounds)}: the first must not exceed the second")
-        return self
 
 
 class SplitsConfig(Settings):
@@ -58,14 +56,12 @@ class SplitsConfig(Settings):
     held_out: Annotated[tuple[HeldOut, ...], Field(max_length=100)] = ()
     """Splits by what a scene shows; a scene belongs to the first split whose keys it meets."""
 
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check(self) -> None:
         if abs(sum(self.shares) - 1) > 1e-6:
             raise ValueError(f"train, val, test = {', '.join(map(str, self.shares))}: must add up to 1")
         names = [rule.name for rule in self.held_out]
         if len(set(names)) < len(names):
             raise ValueError(f"held_out: a split is named twice ({', '.join(names)})")
-        return self
 
     def with_shares(self, shares: tuple[float, float, float]) -> SplitsConfig:
         """These splits with other shares of train, val and test. Raises `InputError` unless they add up to 1."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings
 
@@ -29,11 +29,9 @@ class StoreConfig(Settings):
     histogram_dtype: Literal["uint8", "uint16", "uint32"] = "uint16"
     """Counts above its range are an error, never wrapped."""
 
-    @model_validator(mode="after")
-    def _valid(self) -> StoreConfig:
+    def _check(self) -> None:
         k = self.scenes_per_shard
         if k is not None and k & (k - 1):
             raise ValueError(f"scenes_per_shard = {k}: must be a power of two in 1 … 256")
         if len(set(self.fields)) != len(self.fields):
             raise ValueError(f"fields = {list(self.fields)}: a field is named twice")
-        return self

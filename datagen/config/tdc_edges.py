@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, ValidationInfo
 
-from datagen.config.scene_contents import resolved
+from datagen.config.base import resolved
 from datagen.errors import InputError, TooLargeError
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_tdc_edges
@@ -18,8 +18,8 @@ from datagen.untrusted import one_line, read_npz, read_text
 
 SUFFIXES = (".csv", ".csv.gz", ".npz")
 DECIMALS = 3
-"""Of a picosecond, to which edges from a file are rounded. With half as many edges are known to 50 fs; with all that
-a file may have, a stored configuration is two and a half times as long."""
+"""Of a picosecond, to which edges from a file are rounded: no TDC is known better than a femtosecond, and a stored
+configuration would be two and a half times as long with all digits of a file."""
 MOST_EDGES = 2**20
 """Largest number of edges of a file, which a configuration stores as text: 8192 pixels with 128 bins each."""
 

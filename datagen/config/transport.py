@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.errors import InputError
@@ -51,12 +51,10 @@ class TransportConfig(Settings):
         others = ("target", "part_target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
         return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields if name not in others})
 
-    @model_validator(mode="after")
-    def _consistent(self) -> TransportConfig:
+    def _check(self) -> None:
         if self.part_target is not None and self.target is None:
             raise InputError(f"part_target = {self.part_target}: needs a target; set target, too")
         if self.target is not None:
             for name in self.changed(*CHOSEN_BY_TARGET):
                 raise InputError(chosen_by_target("", name, getattr(self, name)))
         self.accuracy()
-        return self

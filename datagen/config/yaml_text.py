@@ -15,7 +15,13 @@ MOST_CHARACTERS = 2**18
 MOST_NODES = 100_000
 """Largest number of keys and values of a configuration, aliases written out."""
 
-_Loader: Any = type("_Loader", (yaml.SafeLoader,), {})
+TEXT, MERGE = "tag:yaml.org,2002:str", "tag:yaml.org,2002:merge"
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe types, numbers as of YAML 1.2."""
+
+
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
     re.compile(r"^[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
@@ -28,57 +34,35 @@ _Loader.yaml_implicit_resolvers = {
 }
 
 
-_MERGE = "tag:yaml.org,2002:merge"
-
-
-def _mapping(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[str, Any]:
-    merged: dict[str, Any] = {}
-    seen: dict[str, Any] = {}
-    for key_node, value_node in node.value:
-        if key_node.tag == _MERGE:
-            merged |= _merged(loader, value_node)
-            continue
-        key = loader.construct_object(key_node, deep=True)
-        if not isinstance(key, str):
-            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
-        if key in seen:
-            raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", key_node.start_mark)
-        seen[key] = loader.construct_object(value_node, deep=True)
-    return merged | seen
-
-
-def _merged(loader: yaml.SafeLoader, node: yaml.Node) -> dict[str, Any]:
-    """The mapping that `<<` stands for; of a list of mappings the first has precedence."""
-    values = loader.construct_object(node, deep=True)
-    merged: dict[str, Any] = {}
-    for value in reversed(values) if isinstance(values, list) else [values]:
-        if not isinstance(value, dict):
-            raise yaml.constructor.ConstructorError(
-                None, None, "<<: needs a mapping, or a list of such", node.start_mark
-            )
-        merged |= value
-    return merged
-
-
-_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping)
-
-
-def _count(node: Any, source: str) -> None:
-    """Refuse a document whose aliases would make it larger than any configuration, or endless, once expanded."""
+def _check(node: Any, source: str) -> None:
+    """Refuse keys that are no text or stand twice, which YAML allows, and a document whose aliases would make it
+    larger than any configuration, or endless, once expanded."""
     sizes: dict[int, int] = {}
 
     def size(node: Any) -> int:
         if id(node) not in sizes:
+            # A node that holds an alias of itself is endless.
             sizes[id(node)] = MOST_NODES
             below = node.value if isinstance(node, yaml.CollectionNode) else ()
-            parts = (part for item in below for part in (item if isinstance(item, tuple) else (item,)))
-            sizes[id(node)] = min(MOST_NODES, 1 + sum(size(part) for part in parts))
+            if isinstance(node, yaml.MappingNode):
+                _check_keys([key for key, _ in below])
+                below = [part for pair in below for part in pair]
+            sizes[id(node)] = min(MOST_NODES, 1 + sum(size(part) for part in below))
         return sizes[id(node)]
 
     if node is not None and size(node) >= MOST_NODES:
         raise TooLargeError(
             f"{source}: aliases make it hold {MOST_NODES} values or more; write out what they stand for"
         )
+
+
+def _check_keys(keys: list[Any]) -> None:
+    seen: set[str] = set()
+    for key in (key for key in keys if key.tag != MERGE):
+        if key.tag != TEXT or key.value in seen:
+            problem = "this key is not text" if key.tag != TEXT else f"key {key.value!r} stands twice"
+            raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+        seen.add(key.value)
 
 
 def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
@@ -104,7 +88,7 @@ def parse_yaml(text: str, source: str) -> dict[str, Any]:
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
-            _count(node, source)
+            _check(node, source)
             values = None if node is None else loader.construct_document(node)
         finally:
             loader.dispose()

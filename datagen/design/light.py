@@ -43,6 +43,10 @@ class Light:
         empty = self.scene.without(*self.scene.objects)
         return transient_of(empty, self.capture, self.accuracy, seed=self.seed)
 
+    def without(self, name: str) -> Transient:
+        """The transient of the scene without one part, from the same random numbers."""
+        return transient_of(self.scene.without(name), self.capture, self.accuracy, self.seed, split_parts=False)
+
 
 def transport_effects(
     config: DatasetConfig, scene: Scene, capture: Capture, index: int, caster: Raycaster | None = None

@@ -21,6 +21,7 @@ import numpy as np
 import scipy.optimize
 from scipy.special import ndtr
 
+from datagen.capture.device_optics import zone_boxes
 from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, recorded_by
@@ -118,9 +119,9 @@ def calibrate(
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
     frames = recorded_by(frames.source, frames, device, device.zones.count)
-    if device.zones.map is not None:
+    if device.zones.weights:
         raise InputError(
-            f"{device.name}: zones.map = {device.zones.map!r}: a measured map is not fitted; name a device with boxes"
+            f"{device.name}: zones.weights or zones.map: a measured map is not fitted; name a device without"
         )
     z = frames.distances_m
     assert z is not None
@@ -216,7 +217,7 @@ class _Fit:
         glass = self.glass.sum(axis=1) / (nominal.counting.pde * photons)
         start_ps = -BEFORE * width_ps
         zones = nominal.zones.model_copy(update={
-            "boxes": tuple(_rounded(box, 4) for box in shape.boxes), "field_deg": None, "map": None,
+            "boxes": tuple(_rounded(box, 4) for box in shape.boxes), "field_deg": None,
             "blur": round(shape.blur, 5), "gains": _rounded(gains / top), "glass": _rounded(glass),
             "delays_ps": _rounded((shape.zero_bins - zero) * width_ps, 4),
             "dark_count_factors": _rounded(self.floor / self.floor.mean(), 4) if self.floor.any() else (),
@@ -343,7 +344,7 @@ class _Shape:
         per_m = 2e12 / (SPEED_OF_LIGHT_M_PER_S * width)
         zones = device.zones.count
         blur = device.zones.blur or PRIORS["blur"][0]
-        return cls(np.array(device.zones.placed()), np.eye(zones), per_m, 1.0, (0.0, 0.0), blur, np.ones(zones),
+        return cls(zone_boxes(device.zones), np.eye(zones), per_m, 1.0, (0.0, 0.0), blur, np.ones(zones),
                    device.time.zero_bin + delays, device.light.spread or np.inf)  # fmt: skip
 
     @property

@@ -28,6 +28,7 @@ import scipy.optimize
 from scipy.ndimage import convolve1d
 from scipy.spatial.transform import Rotation
 
+from datagen.capture.device_optics import zone_boxes
 from datagen.config.device import device_names
 from datagen.detector import expected_histogram
 from datagen.detector.flux import dark_count_rates
@@ -516,7 +517,7 @@ def _placing(which: str, turn_rad: float, shift_m: float) -> Callable[[_State], 
 def _of_zones(state: _State) -> list[_Unknown]:
     """The numbers of the device, each with itself as the mean of its prior, in the order of `_with_zones`."""
     zones, light = state.device.zones, state.device.light
-    count, boxes = zones.count, np.array(zones.placed())
+    count, boxes = zones.count, zone_boxes(zones)
     gains = np.array(zones.gains or [1.0] * count)
     delays = np.array(zones.delays_ps or [0.0] * count)
     unknowns = [
@@ -559,7 +560,7 @@ def _with_zones(sensor: Device, values: Floats) -> Device:
     count = sensor.zones.count
     right, up, gains, delays, rest = np.split(values, [count, 2 * count, 3 * count, 4 * count])
     width, height, blur, crosstalk, spread = np.exp(rest)
-    boxes = np.array(sensor.zones.placed()) * [1, 1, width, height]
+    boxes = zone_boxes(sensor.zones) * [1, 1, width, height]
     boxes[:, 0], boxes[:, 1] = right, up
     zones = sensor.zones.model_copy(update={
         "boxes": tuple(tuple(map(float, box)) for box in boxes), "field_deg": None, "rows": 1, "columns": 1,

@@ -10,6 +10,7 @@ from warnings import warn
 import numpy as np
 from numpy.typing import ArrayLike
 
+from datagen.capture.device_optics import capture_at
 from datagen.config.detector import DetectorConfig
 from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
@@ -47,7 +48,7 @@ class Device(DeviceConfig):
         """
         place, target = as_points("Device.at: position", position, (3,)), as_points("Device.at: toward", toward, (3,))
         vertical = as_points("Device.at: up", up, (3,))
-        return self.capture_at(place, target, vertical), self.spad, self.exposure
+        return capture_at(self, place, target, vertical), self.spad, self.exposure
 
     def at_pose(self, pose: ArrayLike) -> tuple[Capture, Spad, Exposure]:
         """As `at`, for a 4 × 4 pose matrix: its columns are the device's left, up and forward, and its position."""
@@ -56,6 +57,19 @@ class Device(DeviceConfig):
             raise InputError(f"Device.at_pose: shape {matrix.shape} given; a finite 4 × 4 matrix is needed")
         place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
         return self.at(place, place + forward, up)
+
+    def __str__(self) -> str:
+        """A table of all numbers and where each comes from."""
+        lines = [f"{self.name}: {self.description}", f"  wavelength_nm = {self.wavelength_nm:g}"]
+        for section in ("zones", "light", "time", "pulse", "counting"):
+            for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
+                lines.append(f"  {section}.{key} = {_short(value)}")
+                lines.append(f"      {self.source_of(section, key)}")
+        return "\n".join(lines)
+
+    def source_of(self, section: str, key: str) -> str:
+        """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
+        return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
 
     @property
     def spad(self) -> Spad:
@@ -70,6 +84,12 @@ class Device(DeviceConfig):
     def _detector(self) -> tuple[Spad, Exposure]:
         """Detector and exposure, as of the scenes of a dataset with this device."""
         return detector_for(DetectorConfig().of_device(self), 0, 0)
+
+
+def _short(value: object) -> str:
+    """A value for the table; long lists are cut."""
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
 
 
 def has_shape_of(frames: Frames, device: Device, zones: int) -> bool:

@@ -96,11 +96,17 @@ def presence_evidence(
     if not names:
         return {}
     whole = transient_of(scene, capture, accuracy, seed, split_parts=False) if transient is None else transient
-    presence = {}
-    for name in names:
-        without = transient_of(scene.without(name), capture, accuracy, seed, split_parts=False)
-        presence[name] = _compared(whole, without, spad, exposure)
-    return presence
+    simulated = (
+        (name, transient_of(scene.without(name), capture, accuracy, seed, split_parts=False)) for name in names
+    )
+    return presence_against(whole, simulated, spad, exposure)
+
+
+def presence_against(
+    whole: Transient, without: Iterable[tuple[str, Transient]], spad: Spad, exposure: Exposure
+) -> dict[str, Presence]:
+    """Part name → its presence, from the transient of a scene and (part name, transient without that part)."""
+    return {name: _compared(whole, other, spad, exposure) for name, other in without}
 
 
 def _compared(whole: Transient, without: Transient, spad: Spad, exposure: Exposure) -> Presence:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from datagen.capture.device_optics import capture_at
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
@@ -103,7 +104,7 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     counts = frames.histograms[frame].reshape(config.histogram_shape).astype(config.store.histogram_dtype)
     pose = np.eye(4) if frames.poses is None else frames.poses[frame]
     place, forward, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
-    capture = sensor.capture_at(place, place + forward, up)
+    capture = capture_at(sensor, place, place + forward, up)
     parameters: dict[str, Scalar] = {
         "capture.file": file.name,
         "capture.frame": frame,

@@ -14,6 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap
 from numpy.typing import NDArray
 
+from datagen.capture.device_optics import half_tangents, zone_boxes
 from datagen.detector import Exposure, Spad, detect
 from datagen.devices import Device, zone_depth
 from datagen.effects import EFFECTS, EffectDecisions, plan_effects
@@ -189,14 +190,14 @@ def _draw_view(axes: Axes, one: Seen, picture: Floats) -> None:
     axes.imshow(picture, extent=(-width, width, -height, height), alpha=0.85)
     axes.set(xticks=[], yticks=[], xlim=(-width, width), ylim=(-height, height))
     axes.set_ylabel(one.device.name, fontweight="bold", fontsize=11)
-    half = [np.tan(np.radians(side) / 2) for side in light.field_deg]
+    half = half_tangents(light.field_deg)
     field = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
     axes.plot(*field.T, "--", color="#FF7F0E", lw=1.6)
     points = _tangents(one.capture.laser.targets, one.capture.laser.position)
     if light.confocal:
         axes.plot(*points.T, ".", color="black", ms=1.2, alpha=0.6)
         return
-    boxes = np.array(zones.placed()) if zones.map is None else np.empty((0, 4))
+    boxes = zone_boxes(zones)
     x, y, w, h = (side[:, None] for side in boxes.T)
     corners = np.stack([np.hstack([x - w / 2, x + w / 2, x + w / 2, x - w / 2]),
                         np.hstack([y - h / 2, y - h / 2, y + h / 2, y + h / 2])], axis=-1)  # fmt: skip

@@ -9,9 +9,9 @@ import pytest
 from test_scans import SQUARE_ROOM, configured
 
 import datagen as dg
+from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
-from datagen.pipeline import check_inputs
 from datagen.records import Capture, Scene
 from datagen.report.replay import read_scene, replay
 

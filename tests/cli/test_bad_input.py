@@ -13,11 +13,11 @@ import click
 import pytest
 import trimesh
 
+from datagen.building.input_check import check_inputs
 from datagen.cli import run
 from datagen.config import load_config
 from datagen.errors import InputWarning
 from datagen.exit_status import guarded
-from datagen.pipeline import check_inputs
 
 SMALL = """
 scenes: 2

@@ -116,7 +116,7 @@ def test_sheet_draws_rooms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_the_schema_in_the_repository_is_the_one_the_code_has(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["schema"]) == 0
     assert (ROOT / "configs/schema.json").read_text() == capsys.readouterr().out, (
-        "configs/schema.json is stale: run `datagen schema > configs/schema.json`"
+        "the keys have changed since configs/schema.json: make generated"
     )
 
 

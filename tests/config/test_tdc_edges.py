@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import datagen as dg
+from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping, load_config
 from datagen.detector import detector_for
 from datagen.errors import InputError
-from datagen.pipeline import check_inputs
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "linospad2_tdc.csv.gz"
 EDGES = [[0.0, 0.0, 30.25, 300.0], [0.0, 150.5, 150.5, 300.0]]

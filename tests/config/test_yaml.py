@@ -22,9 +22,11 @@ def test_numbers_are_those_of_yaml_1_2(text: str) -> None:
 
 def test_merge_keys_stand_for_what_they_name() -> None:
     """Own keys go before merged ones, and the first mapping of a list before the next."""
-    text = "x: &x {a: 1, b: 1}\ny: &y {b: 2, c: 2}\nz: {<<: [*x, *y], a: 3}\nw: {c: 4, <<: *y}"
+    text = "x: &x {a: 1, b: 1}\ny: &y {b: 2, c: 2}\nz: {<<: [*x, *y], a: 3}\nw: {c: 4, <<: *y}\n"
+    text += "u: {v: &v {<<: *x, b: 5}, <<: *v}"
     assert parse_yaml(text, "x")["z"] == {"a": 3, "b": 1, "c": 2}
     assert parse_yaml(text, "x")["w"] == {"b": 2, "c": 4}
+    assert parse_yaml(text, "x")["u"] == {"v": {"a": 1, "b": 5}, "a": 1, "b": 5}
 
 
 @pytest.mark.parametrize(
@@ -37,10 +39,10 @@ def test_merge_keys_stand_for_what_they_name() -> None:
         ("just words", "a str found"),
         ("1: 2", "is not text"),
         ("a: !!python/object/apply:os.system ['true']", "broken YAML"),
-        ("a: &x [*x]", "broken"),
+        ("a: &x [*x]", "aliases make it hold"),
         ("\tb: 1", "line 1"),
-        ("a: {<<: 3}", "<<: needs a mapping"),
-        ("a: &x {<<: *x}", "broken"),
+        ("a: {<<: 3}", "line 1, column 9: broken YAML: expected a mapping"),
+        ("a: &x {<<: *x}", "aliases make it hold"),
         ("x: &x {b: 1}\na: {<<: *x, b: 2, b: 3}", "stands twice"),
     ],
 )
@@ -49,8 +51,8 @@ def test_broken_yaml_is_one_line_with_its_place(text: str, words: str, tmp_path:
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         load_config(path)
-    assert str(path) in str(caught.value)
-    assert words in str(caught.value)
+    source, message = str(caught.value).split(": ", 1)
+    assert source == str(path) and words in message
     assert "\n" not in str(caught.value)
 
 

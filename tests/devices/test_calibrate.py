@@ -102,7 +102,7 @@ def test_frames_that_test_do_not_change_the_fit(sweep: Frames) -> None:
 
 def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
     device = dg.device("tmf8820")
-    zones = device.zones.model_copy(update={"boxes": (), "map": "map.npz", "rows": 3, "columns": 3})
+    zones = device.zones.model_copy(update={"weights": (((1.0, 0.5),),) * 9})
     with pytest.raises(InputError, match="a measured map is not fitted"):
         calibrate(sweep, device.model_copy(update={"zones": zones}))
     for frames, named in (

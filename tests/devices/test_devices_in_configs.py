@@ -14,12 +14,14 @@ import yaml
 from datasets import write_dataset
 
 import datagen as dg
+from datagen.building.input_check import check_inputs
+from datagen.capture.device_optics import footprints
 from datagen.config import config_from_mapping, load_config, time_axes
 from datagen.detector import detector_for
 from datagen.devices import device_names
 from datagen.errors import InputError, InputWarning
 from datagen.formats import export
-from datagen.pipeline import check_inputs, simulate_sample
+from datagen.pipeline import simulate_sample
 from datagen.store.scenes import Scenes
 from datagen.store.schema import schema_of
 
@@ -73,9 +75,9 @@ def test_a_stored_configuration_holds_the_whole_device(name: str, monkeypatch: p
 def test_a_file_stands_beside_its_configuration_and_its_map_is_stored(tmp_path: Path) -> None:
     """A path starts at the configuration's folder; the content of `zones.map` becomes part of the configuration."""
     device = dg.device("vl53l1x")
-    zones = device.zones.model_copy(update={"map": "map.npz", "field_deg": None, "blur": 0.0})
+    values = json.loads(device.model_dump_json(exclude_defaults=True)) | {"zones": {"map": "map.npz"}}
     (tmp_path / "mine").mkdir()
-    dg.write_device(device.model_copy(update={"zones": zones}), tmp_path / "mine" / "one.yaml")
+    (tmp_path / "mine" / "one.yaml").write_text(json.dumps(values))
     np.savez(tmp_path / "mine" / "map.npz", extent=[-0.2, 0.1, -0.1, 0.3], weights=np.arange(12.0).reshape(1, 3, 4))
     path = tmp_path / "a.yaml"
     path.write_text(yaml.safe_dump({"capture": {"device": "mine/one.yaml"}}))
@@ -86,7 +88,7 @@ def test_a_file_stands_beside_its_configuration_and_its_map_is_stored(tmp_path: 
         and held.zones.map is None
         and str(tmp_path) not in json.dumps(config.model_dump(mode="json"))
     )
-    corners, weights = held.zones.footprints(tmp_path / "nowhere")
+    corners, weights = footprints(held.zones)
     np.testing.assert_array_equal(weights, np.arange(12.0).reshape(1, 3, 4))
     np.testing.assert_allclose(corners[0], [(-0.2, -0.1), (0.1, -0.1), (0.1, 0.3), (-0.2, 0.3)])
 
@@ -114,6 +116,14 @@ def test_what_contradicts_a_device_is_refused_in_a_line(words: str, sections: di
     with pytest.raises(InputError, match=words) as caught:
         configured(**sections)
     assert "\n" not in str(caught.value)
+
+
+def test_a_map_says_how_its_edges_fade_and_a_blur_beside_it_is_refused() -> None:
+    """Once stored, the map's weights stand in its place, and beside these no blur is read."""
+    values = json.loads(dg.device("vl53l1x").model_dump_json(exclude_defaults=True))
+    values["zones"] = {"map": "map.npz", "blur": 0.01}
+    with pytest.raises(InputError, match=r"weights, map and blur .* give one of them"):
+        config_from_mapping({"capture": {"device": values}})
 
 
 @pytest.mark.parametrize(

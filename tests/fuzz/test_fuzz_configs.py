@@ -8,10 +8,10 @@ from typing import Any
 
 from fuzz_profile import fuzzed, st
 
+from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
 from datagen.config.yaml_text import parse_yaml
 from datagen.errors import InputError
-from datagen.pipeline import check_inputs
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 READY = [

@@ -11,10 +11,10 @@ import pytest
 import trimesh
 
 import datagen as dg
+from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
 from datagen.devices.compare import read_parts
 from datagen.errors import InputError, InputWarning
-from datagen.pipeline import check_inputs
 from scene_library.meshes import BadMesh, MeshOptions, read_mesh, unit_mesh
 from scene_library.polygon_files import Faces, read_obj, read_ply
 from scene_library.polygons import signed_area, triangulate

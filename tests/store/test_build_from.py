@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,10 @@ import pytest
 import trimesh
 
 import datagen as dg
+from datagen.config import config_from_mapping
 from datagen.errors import InputWarning
 from datagen.formats import export
+from datagen.pipeline import SceneLight, Setup, sample_from, simulated_light
 from datagen.store import verify
 from datagen.store.info import info
 
@@ -85,6 +88,28 @@ def test_light_of_another_simulator_is_stored_and_detected(tmp_path: Path) -> No
     stored = dg.TransientDataset(tmp_path / "theirs")[0]["histogram"]
     assert int(stored.argmax()) == int(theirs.argmax())
     assert stored[1, 2, 40] > 100
+
+
+def test_light_that_enters_as_a_record_is_counted_and_labelled_as_our_own() -> None:
+    config = config_from_mapping(
+        QUICK
+        | {
+            "capture": {
+                "scan": {"rows": 2, "columns": 1},
+                "time": {"bins": 64, "bin_width_ps": 400, "origin": "wall"},
+            }
+        }
+        | {"store": {"fields": ["histogram", "transient", "depth"]}}
+    )
+    setup = Setup.of(config, 0, room(1.2), capture())
+    ours = simulated_light(setup)
+    own = sample_from(setup, ours)
+    entered = sample_from(setup, SceneLight(ours.transient, ours.effects))
+    assert own.arrays.keys() == entered.arrays.keys() and own.parameters.items() == entered.parameters.items()
+    assert all(np.array_equal(own.arrays[name], entered.arrays[name]) for name in own.arrays)
+    unsplit = sample_from(setup, SceneLight(replace(ours.transient, parts={})))
+    assert np.isnan(unsplit.parameters["evidence.ball.significance"])
+    assert np.array_equal(unsplit.arrays["depth"], own.arrays["depth"])
 
 
 def test_scenes_that_form_no_dataset_are_refused(tmp_path: Path) -> None:
