@@ -230,7 +230,7 @@ def test_hot_pixels_belong_to_the_array():
         (Spad(pde=1.0, dead_time_s=50e-9), 0.5, 10**6, "events"),
         (Spad(pde=1.0, mode="synchronous", dead_time_s=1e-6), 0.5, 10**6, "chain"),
         (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 10**6, "chain"),
-        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 50, "chain"),
+        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 50, "events"),
         (Spad(pde=1.0, dead_time_s=50e-9, afterpulse_probability=0.02), 0.01, 10**6, "events"),
         (Spad(pde=1.0, dead_time_s=50e-9, paralyzable=True), 0.5, 10**6, "events"),
     ],
