@@ -23,7 +23,7 @@ def draw_chain(flux: Floats, cycle: Cycle, dead_time_s: float, cycles: int, rng:
     Where the dead time lasts to the end of the cycle, the law is the multinomial with p_i = q_i exp(−Λ_{i−1}); no
     rounding can push a sum of probabilities beyond 1, so that it holds for λ from 1e-300 to 1e300. Otherwise cycles
     that fired return as they do in the expected histogram (`datagen.detector.dead_time`): each counts as armed from
-    the start of a piece on that is drawn by the table's weights. Pieces are shorter than the dead time, so that no
+    the start of one of a few pieces on, by the table's weights. Pieces are shorter than the dead time, so that no
     cycle returns within the piece in which it fired.
     """
     bins = len(flux)
@@ -51,23 +51,36 @@ def _run(table: Table, bin_of: Ints, bins: int, cycles: int, rng: Generator) -> 
     q, first, offset, weights = table
     m = len(q)
     counts = np.zeros(bins, np.int64)
-    # Cycles that are armed from the start of each piece on, decided when they fire.
-    returning = np.zeros(m, np.int64)
+    # Decided when cycles fire: how many are armed from the start of each piece on, and how many fire again in it.
+    arming, firing = np.zeros(m, np.int64), np.zeros(m, np.int64)
+    hazards = np.empty(m)
     armed = cycles
     for i in range(m):
-        armed += returning[i]
+        armed += arming[i]
         fired = binomial(armed, q[i], rng)
-        counts[bin_of[i]] += fired
         armed -= fired
-        # The pieces of return are a multinomial number by binomials: the last one takes all that are left.
-        left, rest = fired, 1.0
-        for k in range(offset[i], offset[i + 1]):
-            where = first[i] + k - offset[i]
-            # Every cycle is armed anew after the end of the period, so these returns count for nothing.
-            if left == 0 or where >= m:
+        fired += firing[i]
+        counts[bin_of[i]] += fired
+        last = first[i] + offset[i + 1] - offset[i] - 1
+        if fired == 0 or first[i] > last:
+            continue
+        # Few cycles fire again before the last piece of their return, and one rare number says how many. All others
+        # are armed there. Returns after the end of the period count for nothing, for every cycle starts armed.
+        soon, waiting = 0.0, 0.0
+        for k in range(first[i], min(last, m)):
+            waiting += weights[offset[i] + k - first[i]]
+            hazards[k] = waiting * q[k]
+            waiting -= hazards[k]
+            soon += hazards[k]
+        left = binomial(fired, soon, rng)
+        if last < m:
+            arming[last] += fired - left
+        # They are shared out over the pieces by binomials: the last one takes the rest.
+        for k in range(first[i], min(last, m)):
+            if left == 0:
                 break
-            back = left if k == offset[i + 1] - 1 else binomial(left, weights[k] / rest, rng)
-            returning[where] += back
-            left -= back
-            rest -= weights[k]
+            here = left if k == min(last, m) - 1 else binomial(left, hazards[k] / soon, rng)
+            firing[k] += here
+            left -= here
+            soon -= hazards[k]
     return counts

@@ -185,8 +185,8 @@ def _choose_block(
     _, pixels, n = flux.shape
     spad, others = measured.spad, (measured.exposure, tolerance, approximate)
     if measured.coupled:
-        together = flux.sum(axis=1)
-        chosen = choose(together, measured.cycle, spad, *others, lambda row: f"laser {first_laser + row}")
+        of_array = flux.sum(axis=1)
+        chosen = choose(of_array, measured.cycle, spad, *others, lambda row: f"laser {first_laser + row}")
         return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
     # A single pixel has no neighbours.
     alone = spad if spad.crosstalk_probability == 0 else replace(spad, crosstalk_probability=0.0)
@@ -207,8 +207,8 @@ def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: 
     if len(rows := np.flatnonzero(~poisson)):
         cycle, tdc = measured.finer
         step = pixels if measured.coupled else 1
-        together = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
-        each = zip(together, choices.sampler[rows[::step]], strict=True)
+        groups = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
+        each = zip(groups, choices.sampler[rows[::step]], strict=True)
         drawn = [_draw(own, cycle, spad, cycles, Sampler(code), rng) for own, code in each]
         out[rows] = tdc.draw(np.concatenate(drawn), rng, rows % pixels)
     return out if spad.counter_max is None else np.minimum(out, spad.counter_max)

@@ -57,6 +57,9 @@ class _Diode(NamedTuple):
 
 def burn_in_cycles(spad: Spad, period_s: float) -> int:
     """Number of cycles simulated before the exposure, in which dead time and traps forget how they started."""
+    if spad.mode == "synchronous" and spad.afterpulse_probability == 0:
+        # Every cycle starts armed, whatever went before.
+        return 0
     longest = max(spad.dead_time_s, *(spad.afterpulse_times_s if spad.afterpulse_probability > 0 else (0.0,)))
     return _BURN_IN_CYCLES + int(np.ceil(_BURN_IN_TIMES * longest / period_s))
 

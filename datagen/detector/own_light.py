@@ -102,13 +102,13 @@ def _detections(flux: Floats, cycle: Cycle, spad: Spad) -> tuple[Floats, Floats]
     detections, armed = flux.copy(), np.ones_like(flux)
     rows = np.arange(busy.size).reshape(busy.shape)
     if coupled:
-        together = [*rows[busy.any(axis=1)]]
+        groups = [*rows[busy.any(axis=1)]]
     else:
         # A self-consistent mean is repeated until it settles, so pixels with traps are solved for one at a time.
         spad = replace(spad, crosstalk_probability=0.0)
-        together = [*rows[busy][:, None]] if spad.afterpulse_probability > 0 else [rows[busy]]
+        groups = [*rows[busy][:, None]] if spad.afterpulse_probability > 0 else [rows[busy]]
     each, counted, ready = (values.reshape(-1, flux.shape[-1]) for values in (flux, detections, armed))
-    for pixels in together:
+    for pixels in groups:
         counted[pixels], events = detections_and_events(each[pixels], cycle, spad)
         ready[pixels] = np.divide(counted[pixels], events, out=np.ones_like(events), where=events > 0)
     return detections, armed

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from datagen.detector.dead_time import most_in_window
+from datagen.detector.dead_time import PIECE_FLUX, most_in_window
 from datagen.detector.events import burn_in_cycles
 from datagen.detector.expected import active_span
 from datagen.detector.flux import Cycle
@@ -37,7 +37,7 @@ class Sampler(IntEnum):
     POISSON = 0
     """Independent Poisson counts of the flux."""
     CHAIN = 1
-    """Synchronous: all cycles at once, bin after bin."""
+    """Synchronous: all cycles at once, bin after bin, where bins are fewer than detections."""
     EVENTS = 2
     """One detection after another: free running, afterpulsing, paralyzable dead time, crosstalk."""
     MULTINOMIAL = 3
@@ -117,7 +117,10 @@ def choose(
         if spad.mode == "synchronous" and not causes:
             # With one detection a cycle it does not matter what restarts the dead time.
             once = spad.dead_time_s >= active_span(flux, cycle)
-            sampler[beyond & (once | (not spad.paralyzable))] = Sampler.CHAIN
+            # Otherwise the chain cuts bins by their flux, and into pieces shorter than the dead time.
+            cuts = np.where(once, 0.0, totals / PIECE_FLUX + cycle.period_s / spad.dead_time_s)
+            chained = (once | (not spad.paralyzable)) & (len(cycle.gate) + cuts <= detections)
+            sampler[beyond & chained] = Sampler.CHAIN
         burn_in = detections * (burn_in_cycles(spad, cycle.period_s) / exposure.cycles)
         # Every photon restarts a paralyzable dead time, so all of them are drawn.
         drawn = np.where(sampler == Sampler.EVENTS, np.maximum(detections, burn_in), 0.0)
@@ -147,7 +150,7 @@ def _kind(spad: Spad) -> str:
         return "afterpulsing"
     if spad.crosstalk_probability > 0:
         return "crosstalk"
-    return "a paralyzable dead time" if spad.paralyzable else "a dead time that spans cycles"
+    return "a paralyzable dead time" if spad.paralyzable else "a dead time"
 
 
 def poisson_bias(flux: Floats, cycle: Cycle, spad: Spad) -> Floats:
@@ -207,7 +210,7 @@ def _reason(sampler: Sampler, spad: Spad, bias: float, deviation: float, detecti
         )
     why = {
         Sampler.CHAIN: "all laser cycles are counted together, bin after bin",
-        Sampler.EVENTS: f"{_kind(spad)} is drawn detection by detection",
+        Sampler.EVENTS: f"detections with {_kind(spad)} are drawn one by one",
         Sampler.MULTINOMIAL: (
             f"{detections:.2g} detections, more than {MANY_EVENTS:.0e}, are shared out at random around their mean; "
             "their variance is approximate"

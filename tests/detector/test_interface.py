@@ -230,7 +230,7 @@ def test_hot_pixels_belong_to_the_array():
         (Spad(pde=1.0, dead_time_s=50e-9), 0.5, 10**6, "events"),
         (Spad(pde=1.0, mode="synchronous", dead_time_s=1e-6), 0.5, 10**6, "chain"),
         (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 10**6, "chain"),
-        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 50, "chain"),
+        (Spad(pde=1.0, mode="synchronous", dead_time_s=20e-9), 0.5, 50, "events"),
         (Spad(pde=1.0, dead_time_s=50e-9, afterpulse_probability=0.02), 0.01, 10**6, "events"),
         (Spad(pde=1.0, dead_time_s=50e-9, paralyzable=True), 0.5, 10**6, "events"),
     ],
@@ -306,3 +306,31 @@ def test_rates_that_are_not_given_leave_room_for_the_time_axis():
         detect(np.zeros(1000), long, *drawn[0])
     fixed = DetectorConfig(detector_class="si_array", repetition_rate_mhz=0.5)
     assert detector_for(fixed, 0, 0, long)[1].repetition_rate_hz == pytest.approx(0.5e6)
+
+
+NOT_OF_THE_DETECTOR = {"detector_class", "gate", "exposure_for", "found_for", "tolerance", "approximate"}
+OTHER_VALUES = {
+    "mode": "synchronous", "dark_count_factors": (2.0,), "paralyzable": True, "array_columns": 3,
+    "tdc_edges_ps": ((0.0, 4.0, 8.0),), "pulse": {"samples": (1.0, 2.0), "sample_ps": 50.0}, "counter_max": 7,
+    "bins_merged": 2, "hot_pixel_factor": 30.0, "tdc_period_bins": 16,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("key", sorted(set(DetectorConfig.model_fields) - NOT_OF_THE_DETECTOR))
+def test_every_key_of_the_configuration_reaches_the_detector(key):
+    """Keys are matched with the fields of `Spad` and `Exposure` by their names and units."""
+    given = DetectorConfig.model_validate({key: OTHER_VALUES.get(key, 0.125 if key != "cycles" else 5.0)})
+    default, changed = (detector_for(config, 3, 0) for config in (DetectorConfig(), given))
+    assert default != changed
+    units = {"_ps": 1e-12, "_ns": 1e-9, "_mhz": 1e6}
+    unit = next((unit for ending, unit in units.items() if key.endswith(ending)), 1.0)
+    numbers = {value for one in changed for value in vars(one).values() if isinstance(value, float)}
+    numbers |= set(changed[0].afterpulse_times_s)
+    if key not in OTHER_VALUES and key != "cycles":
+        assert any(number == pytest.approx(0.125 * unit, rel=1e-12) for number in numbers)
+
+
+def test_a_gate_of_the_configuration_is_that_of_the_detector():
+    gate = {"start_ns": 5, "width_ns": 20, "rise_ps": 200}
+    spad, _ = detector_for(DetectorConfig.model_validate({"gate": gate}), 0, 0)
+    assert (spad.gate_start_s, spad.gate_width_s, spad.gate_rise_s) == pytest.approx((5e-9, 20e-9, 2e-10))
