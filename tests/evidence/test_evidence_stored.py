@@ -12,6 +12,8 @@ from datagen.config import config_from_mapping
 from datagen.pipeline import simulate_sample
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 def config() -> dg.DatasetConfig:
     return config_from_mapping(

@@ -20,6 +20,8 @@ from datagen.records import Lambertian, Part, Pose, Scene
 from datagen.store import read_manifest, verify
 from scene_library.objects.classes import GROUPS
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 CONFIG = LabelsConfig(rows=40, columns=60)
 
 

@@ -22,6 +22,8 @@ from datagen.errors import InputError
 from datagen.store import verify
 from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 FIELDS = ["histogram", "transient", "depth", "normal", "occupancy", "sdf"]
 
 
