@@ -28,7 +28,7 @@ from datagen.store import (
     running_path,
     write_shard,
 )
-from datagen.store.environment import made_with, mixed, together
+from datagen.store.environment import joined, made_with, mixed
 
 GRACE_S = 10.0
 """Seconds beyond the time limit of a scene (at most the limit itself) after which its process ends, because the
@@ -88,7 +88,7 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         # lost.
         if record is None or (record.failures and record.finished <= job.submitted):
             samples = _samples(job, running) if record is None else _with_failed_retried(job, record, running)
-            made_by = made_with() if record is None else together(record.made_by, made_with())
+            made_by = made_with() if record is None else joined(record.made_by, made_with())
             if samples is not None:
                 where = (job.root, job.schema, job.shard, job.fingerprint)
                 record = write_shard(*where, samples, made_by, job.started)
