@@ -232,7 +232,7 @@ def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDAr
     return {name: values for name, values in measured.items() if values is not None and name in setup.fields}
 
 
-def _geometry(setup: Setup) -> dict[str, NDArray[np.generic]]:
+def _geometry(setup: Setup) -> dict[str, Floats]:
     """Field → where laser, sensor, relay wall and hidden view are."""
     scene, laser, sensor = setup.scene, setup.capture.laser, setup.capture.sensor
     wall, view = (

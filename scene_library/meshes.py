@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scene_library.arrays import Floats
+from scene_library.open3d_import import import_open3d
 from scene_library.polygon_files import BENT, NotSimple, read_obj, read_ply
 from scene_library.solids import Solid
 
@@ -305,13 +306,10 @@ def _of_ordinary_size(vertices: Floats) -> Floats:
 def simplified(vertices: Floats, faces: NDArray[np.int64], max_triangles: int) -> tuple[Floats, NDArray[np.int64]]:
     """At most `max_triangles` triangles, by quadric edge collapse (Garland & Heckbert 1997, as in Open3D)."""
     try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise BadMesh(
-            f"has {len(faces)} triangles and simplifying to {max_triangles} needs Open3D, which cannot be loaded "
-            f"({' '.join(str(error).split())[:100]}): install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 "
-            "(docker/system-packages.txt), or leave max_triangles out"
-        ) from None
+        open3d = import_open3d()
+    except ImportError as error:
+        needs = f"simplifying to {max_triangles} needs {error}"
+        raise BadMesh(f"has {len(faces)} triangles and {needs}, or leave max_triangles out") from None
     mesh = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(vertices), open3d.utility.Vector3iVector(faces.astype(np.int32))
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -103,22 +102,3 @@ def even_points(center: Floats, right: Floats, up: Floats) -> Floats:
     k = np.arange(_POINTS)
     u, v = (0.5 + k * _GOLDEN[0]) % 1.0, (0.5 + k * _GOLDEN[1]) % 1.0
     return np.asarray(center + (2 * u - 1)[:, None] * right + (2 * v - 1)[:, None] * up)
-
-
-def occlusion_test(
-    triangles: Floats,
-) -> Callable[[Floats, Floats], NDArray[np.bool_]]:
-    """A function of `starts` and `ends` (n, 3), both in the open: (n,) whether one of `triangles` (F, 3, 3) cuts the
-    segment between them.
-    """
-    if not len(triangles):
-        return lambda starts, ends: np.zeros(len(starts), np.bool_)
-    scene, middle = _ray_scene(triangles)
-
-    def blocked(starts: Floats, ends: Floats) -> NDArray[np.bool_]:
-        span = (ends - starts).astype(np.float32)
-        reach = np.ones(len(starts), np.float32)
-        hit = scene.run((starts - middle).astype(np.float32), span, dists=reach, query="OCCLUDED")
-        return np.asarray(hit >= 0)
-
-    return blocked

@@ -1,5 +1,4 @@
-"""How the tests run: one thread each, the long files first, builds of one worker in the test's own process, without
-waiting for the disk."""
+"""How the tests run: one thread each, the long files first."""
 
 from __future__ import annotations
 
@@ -56,16 +55,10 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.fixture(scope="session", autouse=True)
-def no_disk_is_waited_for() -> Iterator[None]:
-    """What this process wrote stays when it is killed; only power that fails could tell, which no test cuts. That
-    files are synced in time is a test of its own (tests/store/test_build.py)."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "fsync", lambda handle: None)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def one_worker_builds_here() -> Iterator[None]:
+@pytest.fixture(scope="module")
+def builds_here() -> Iterator[None]:
+    """Builds of one worker run in the test's own process. For files whose tests need a dataset and are not about how
+    it is built: a new worker loads the kernels of the transport anew, which takes longer than most of these builds.
+    """
     with one_worker_here():
         yield

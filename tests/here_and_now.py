@@ -44,9 +44,7 @@ def jobs_go_to(engine: Any) -> Iterator[None]:
 
 @contextmanager
 def one_worker_here() -> Iterator[None]:
-    """Starting a process takes longer than most builds of the tests. Two workers are two processes, and builds by
-    another process are as they always are: both are held to the same bytes.
-    """
+    """A context in which builds of one worker run in this process, for samples that no other process can make."""
     from datagen.building import build, engines
 
     @contextmanager

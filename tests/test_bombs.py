@@ -25,6 +25,8 @@ import datagen as dg
 from datagen.cli import run
 from datagen.untrusted import read_npy, read_npz
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 MOST_BYTES = 200 * 10**6
 Content = bytes | Callable[[], bytes]
 """Large content is made when it is written."""

@@ -17,6 +17,8 @@ import datagen
 from datagen.cli import cli
 from datagen.config.dataset import json_schema
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}

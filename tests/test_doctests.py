@@ -9,6 +9,8 @@ import pytest
 
 import datagen
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 FEWEST = 10
 """Public names that have an example."""
 

@@ -1,6 +1,5 @@
 """Building a dataset: workers make shards and commit each with a record. Building again resumes.
 
-A job makes one shard, or one scene of a shard: several workers share each of the last shards, so that none is idle.
 A shard has one writer; only this process writes metadata. A sample depends on (dataset seed, scene index) alone, and
 the division into shards on the configuration alone. So the bytes are the same for any number of workers, any engine,
 and any number of interruptions.
@@ -12,31 +11,21 @@ import math
 import os
 import statistics
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Iterable
+from concurrent.futures import wait
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
+from datagen.building.jobs import TICK_S, Jobs, SampleFunction
 from datagen.building.progress import Progress
-from datagen.building.shard_job import (
-    LONGEST_SCENE_S,
-    ShardJob,
-    abandon_shard,
-    make_scene,
-    overtime,
-    run_shard,
-    scenes_begun,
-)
+from datagen.building.shard_job import LONGEST_SCENE_S
 from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
-from datagen.records import Sample
 from datagen.records.checks import check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
@@ -44,22 +33,9 @@ from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
 from datagen.store.summaries import placed_anew_lines
 
-SampleFunction = Callable[[DatasetConfig, int], Sample]
-Task = tuple[int, int | None]
-"""A shard, and the scene of it that a job makes; None if the job makes the whole shard."""
-
-DEATHS_ALLOWED = 2
-"""Worker processes that may die while they make the same scene; then the build gives that scene up. With one, a scene
-would be lost when the machine runs out of memory for another reason."""
-TICK_S = 0.5
-"""Seconds between two updates of the progress bar. Half as many would only make its clock run more smoothly."""
 NOISY = 0.2
-"""Median relative error of a dataset's transients above which a build warns. At this error the noise of the
-simulation is no longer small beside the photon noise of an ordinary exposure. Half as much would warn about most
-quick trials."""
-HOPELESS = 8
-"""A build stops if all of its first `HOPELESS` scenes fail, because the others would fail likewise. Half as many
-failures could be chance where rooms are hard to furnish."""
+"""Median relative error of a dataset's transients above which a build warns: about where the noise of the simulation
+is no longer small beside the photon noise of an ordinary exposure."""
 
 COMPILED_ONCE = "once after an installation or a change of the sources"
 
@@ -75,7 +51,7 @@ class BuildResult:
     built, kept : number of shards that this build made, and that an earlier build had committed.
     complete : whether every shard is there.
     seconds : wall-clock time of this build.
-    told : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
+    placed_anew : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
     noisy : a warning that more than a fifth of the simulated light is noise, with a remedy; "" if it is not.
     """
 
@@ -85,7 +61,7 @@ class BuildResult:
     kept: int
     complete: bool
     seconds: float
-    told: str = ""
+    placed_anew: str = ""
     noisy: str = ""
 
     def summary(self) -> str:
@@ -95,7 +71,7 @@ class BuildResult:
         found = f", {self.kept} were there" if self.kept else ""
         missing = "not complete yet: other shards are missing"
         state = f"complete with {self.scenes} scenes" if self.complete else missing
-        return f"{self.path}: {did}{found}; {state}{self.told and f'; {self.told}'}"
+        return f"{self.path}: {did}{found}; {state}{self.placed_anew and f'; {self.placed_anew}'}"
 
 
 def build(
@@ -177,7 +153,7 @@ def build(
                     _compile(running, workers, sample_function, config, shown)
                 manifest = store.prepare(root, config)
                 output.begin(manifest)
-                jobs = _Jobs(config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown)
+                jobs = Jobs(config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown)
                 kept = jobs.run(wanted, there)
             records = store.committed(root, manifest)
             complete = len(records) == manifest.schema.shards
@@ -193,7 +169,7 @@ def build(
     return BuildResult(
         path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=complete, seconds=time.monotonic() - began, noisy=noisy,
-        told=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
+        placed_anew=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
     )  # fmt: skip
 
 
@@ -279,190 +255,6 @@ def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
                 "promised for the same versions (constraints.txt) on the same kind of processor: use those, "
                 "name another folder, or accept it with --accept-mixed"
             )
-
-
-@dataclass
-class _Jobs:
-    """The loop that hands out jobs and takes in their results.
-
-    waiting : jobs to hand out, the next one first.
-    running : future → its job, and the scene that the job makes (None: the whole shard).
-    begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was
-        submitted and before its future is in `running`; the shard is in this set by then.
-    undivided : shards whose scenes come from one worker.
-    scenes_made : shard whose scenes come from several workers → the results of those scenes that are made.
-    finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
-    deaths : scene → workers that died while they made it; −1 → workers in a row that died before any scene.
-    given_up : scene → why it is not tried again.
-    """
-
-    config: DatasetConfig
-    output: upload.Output
-    manifest: store.Manifest
-    engine: Engine
-    sample_function: SampleFunction
-    accept_mixed: bool
-    scene_seconds: float | None
-    progress: Progress
-    waiting: deque[Task] = field(default_factory=deque)
-    running: dict[Future[Any], tuple[ShardJob, int | None]] = field(default_factory=dict)
-    begun: set[int] = field(default_factory=set)
-    undivided: set[int] = field(default_factory=set)
-    scenes_made: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
-    finished: int = 0
-    made: int = 0
-    failed: int = 0
-    deaths: Counter[int] = field(default_factory=Counter)
-    given_up: dict[int, str] = field(default_factory=dict)
-
-    @property
-    def root(self) -> Path:
-        return self.output.folder
-
-    @property
-    def schema(self) -> store.Schema:
-        return self.manifest.schema
-
-    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:
-        """Make the wanted shards; returns how many of them were there before with all scenes."""
-        whole = {record.shard for record in there if not record.failures}
-        for shard in whole:
-            store.running_path(self.root, shard).unlink(missing_ok=True)
-        self.waiting.extend((shard, None) for shard in wanted if shard not in whole)
-        kept = len(wanted) - len(self.waiting)
-        if not self.waiting:
-            return kept
-        store.forget_complete(self.root)
-        store.write_card(self.root, self.manifest, there)
-        self.finished = sum(len(self.schema.scenes_of(shard)) for shard in wanted if shard in whole)
-        self.progress.begin(sum(len(self.schema.scenes_of(shard)) for shard in wanted), self.finished)
-        if kept:
-            self.progress.say(f"{kept} of {len(wanted)} shards are there already")
-        # In a committed shard only the failed scenes are made, so there is little to divide.
-        self.undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
-        try:
-            while self.waiting or self.running:
-                while self.waiting and len(self.running) < self.engine.capacity:
-                    self._hand_out(*self.waiting.popleft())
-                done, _ = wait(self.running, timeout=TICK_S, return_when=FIRST_COMPLETED)
-                ahead, in_work = self._under_way()
-                self.progress.update(self.finished + ahead, in_work, self.failed)
-                for future in done:
-                    self._take_in(future)
-            self.progress.update(self.finished, (), self.failed)
-        except BaseException:
-            # The writers must be gone before their files are removed.
-            self.engine.close(kill=True)
-            for shard in self.begun:
-                self._clear(shard)
-            raise
-        return kept
-
-    def _hand_out(self, shard: int, scene: int | None) -> None:
-        """Submit a job. One of the last shards is divided into its scenes, since workers would be idle otherwise."""
-        if shard not in self.undivided and len(self.waiting) < self.engine.capacity > 1:
-            self.undivided.add(shard)
-            self.scenes_made[shard] = {}
-            scene, *others = self.schema.scenes_of(shard)
-            self.waiting.extendleft((shard, other) for other in reversed(others))
-        self.begun.add(shard)
-        job = self._job(shard)
-        call = (run_shard, job) if scene is None else (make_scene, job, scene)
-        self.running[self.engine.submit(*call)] = job, scene
-
-    def _take_in(self, future: Future[Any]) -> None:
-        """Take the result of a job in; a job that was cancelled or whose worker died is put back."""
-        job, scene = self.running.pop(future)
-        shard = job.shard
-        if future.cancelled():
-            self.engine.restore(self.progress.say)
-            self._clear(shard)
-            self.waiting.appendleft((shard, scene))
-            return
-        result = self._outcome(future, job, scene)
-        if result is None:
-            self.waiting.appendleft((shard, scene))
-            return
-        # A worker got as far as a scene: earlier deaths before the first scene were chance.
-        self.deaths[-1] = 0
-        size = len(self.schema.scenes_of(shard))
-        if scene is not None:
-            self.scenes_made[shard][scene] = result
-            if len(self.scenes_made[shard]) == size:
-                # All scenes of a divided shard are there: the next job writes the shard.
-                self.waiting.appendleft((shard, None))
-            return
-        for record in store.committed(self.root, self.manifest, [shard]) if self.output.bucket else ():
-            self.output.put_shard(record)
-        self.scenes_made.pop(shard, None)
-        self.begun.discard(shard)
-        self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(result)
-        if self.failed == self.made >= min(HOPELESS, self.schema.scenes):
-            scene, reason = min(result.items())
-            stops = f"all of the first {self.made} scenes failed, so the build stops"
-            raise CheckError(f"{stops}; scene {scene}: {reason}")
-
-    def _job(self, shard: int) -> ShardJob:
-        """The job of a shard. If all scenes of a divided shard are made, it contains them."""
-        scenes = self.schema.scenes_of(shard)
-        skip = {scene: self.given_up[scene] for scene in scenes if scene in self.given_up}
-        root, fingerprint = self.root.resolve(), self.manifest.fingerprint
-        made = None if self.accept_mixed else made_with()
-        job = ShardJob(
-            root, self.config, self.schema, fingerprint, shard, self.sample_function, skip, time.time(), made,
-            self.scene_seconds,
-        )  # fmt: skip
-        given = self.scenes_made.get(shard, {})
-        if len(given) < len(scenes):
-            return job
-        return replace(job, given=given, begun=min(scenes_begun(job.root, self.schema, shard).values(), default=None))
-
-    def _under_way(self) -> tuple[int, list[int]]:
-        """Number of scenes made in shards that are not committed, and the scenes that workers are making."""
-        made, in_work = sum(map(len, self.scenes_made.values())), list[int]()
-        for job, scene in self.running.values():
-            if scene is not None:
-                in_work.append(scene)
-            elif job.given is None and (scenes := list(scenes_begun(self.root, self.schema, job.shard))):
-                made += scenes[-1] - self.schema.scenes_of(job.shard).start
-                in_work.append(scenes[-1])
-        return made, in_work
-
-    def _outcome(self, future: Future[Any], job: ShardJob, scene: int | None) -> Any:
-        """The result of a finished job; None if its worker died, so that the job must be done again."""
-        error = future.exception()
-        if error is None:
-            return future.result()
-        if not isinstance(error, self.engine.deaths):
-            self._clear(job.shard)
-            raise error
-        begun = scenes_begun(self.root, self.schema, job.shard)
-        if scene is None:
-            scene = max(begun, default=None)
-            self._clear(job.shard)
-        elif begun.get(scene, 0.0) < job.handed_out:
-            scene = None
-        self.deaths[-1 if scene is None else scene] += 1
-        if scene is None and self.deaths[-1] > DEATHS_ALLOWED:
-            raise CheckError(
-                "worker processes die before their first scene; in a script, call build under "
-                'if __name__ == "__main__": and see the messages above'
-            )
-        if scene is None:
-            return None
-        if self.scene_seconds is not None and time.time() - begun[scene] > self.scene_seconds:
-            # No exception could reach the scene, so its worker ended itself.
-            self.given_up[scene] = overtime(self.scene_seconds)
-        elif self.deaths[scene] >= DEATHS_ALLOWED:
-            self.given_up[scene] = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
-        return None
-
-    def _clear(self, shard: int) -> None:
-        """Remove the files of an unfinished shard, unless it was committed at the last moment."""
-        if store.committed(self.root, self.manifest, [shard]):
-            store.running_path(self.root, shard).unlink(missing_ok=True)
-        else:
-            abandon_shard(self.root, self.schema, shard)
 
 
 def parse_shards(text: str | None, shards: int) -> list[int]:

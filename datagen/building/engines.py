@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import importlib
 import importlib.util
 import logging
@@ -12,9 +11,11 @@ import signal
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import BrokenExecutor, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import connection, forkserver, resource_tracker
 from typing import Any, NoReturn
 
 from datagen.errors import CheckError, InputError
@@ -22,15 +23,14 @@ from datagen.exit_status import Ended
 
 MOST_WORKERS = 4096
 PATIENCE_S = 3.0
-"""Seconds that a worker has to end after SIGTERM before it is killed. Half as many would kill a worker that is
-syncing to a slow disk; its shard would be made again."""
+"""Seconds that a worker has to end after SIGTERM before it is killed: enough to sync a shard to a disk."""
 RETURN_S = 300.0
-"""Seconds that a build waits for a lost Dask scheduler. Half as many are too few for a restart in a SLURM queue."""
+"""Seconds that a build waits for a lost Dask scheduler: a restart may have to queue in SLURM."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Environment variables of worker processes: each uses one core, because a sum that is split over threads could round
 differently."""
 
-_START_METHOD = "forkserver"
+_CONTEXT = multiprocessing.get_context("forkserver")
 """Workers fork from a server process that has imported the modules they need. The server's only thread is that of
 Arrow's allocator, which is safe to fork."""
 
@@ -40,19 +40,19 @@ def start_imports(*modules: str) -> None:
 
     Raises `InputError` if the path of the temporary folder is too long for a socket.
     """
-    multiprocessing.get_context(_START_METHOD).set_forkserver_preload(list(modules))
-    _ensure_server()
+    _CONTEXT.set_forkserver_preload(list(modules))
+    with _starting():
+        forkserver.ensure_running()
 
 
-def _ensure_server() -> None:
-    """Start the server process if it is not running, with the environment of a worker."""
-    from multiprocessing import forkserver, resource_tracker
-
+@contextmanager
+def _starting() -> Iterator[None]:
+    """A context in which processes are started: with the environment of a worker, and without being interrupted."""
     # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
     resource_tracker.ensure_running()
     try:
         with _environment(ONE_THREAD), _signals_deferred():
-            forkserver.ensure_running()
+            yield
     except OSError as error:
         # Only an address that is too long for a socket has no number.
         if error.errno is not None:
@@ -63,45 +63,47 @@ def _ensure_server() -> None:
         ) from None
 
 
-@atexit.register
-def _end_server() -> None:
-    """End the server process. By itself it would finish its imports before it notices that this process is gone."""
-    from multiprocessing import forkserver
+class WorkerDied(Exception):
+    """The process of a job ended before the job did.
 
-    server: Any = forkserver
-    if server._forkserver._forkserver_pid is not None:
-        os.kill(server._forkserver._forkserver_pid, signal.SIGTERM)
+    seconds : between the beginning of the job and the death; None if the worker died before the job began.
+    """
+
+    def __init__(self, seconds: float | None) -> None:
+        super().__init__("a worker process died")
+        self.seconds = seconds
 
 
 class LocalProcesses:
-    """`workers` processes, each in its own pool: if a process dies, only its job is lost, and this job is known to
-    be the cause.
+    """Worker processes on this machine, each with a pipe of its own: if one dies, only its job is lost, and this job
+    is known to be the cause.
 
     capacity : number of jobs that should be under way at once.
     deaths : the exceptions of a future whose worker died. Other exceptions come from the job itself.
     shares_shards : whether several workers may make the scenes of one shard, because results return cheaply.
     """
 
-    # A worker that got a signal of its own raises `Ended`.
-    deaths: tuple[type[BaseException], ...] = (BrokenExecutor, Ended)
+    deaths: tuple[type[BaseException], ...] = (WorkerDied,)
     shares_shards = True
 
     def __init__(self, workers: int) -> None:
         self.capacity = workers
-        self._all = [_Process() for _ in range(workers)]
-        self._busy: dict[Future[Any], _Process] = {}
+        # One thread waits for each worker.
+        self._threads = ThreadPoolExecutor(workers)
+        self._workers: list[_Worker] = []
+        self._busy: dict[Future[Any], _Worker] = {}
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """The future of a job; at most `capacity` jobs may be under way."""
-        for future in [future for future in self._busy if future.done()]:
-            process = self._busy.pop(future)
-            if isinstance(future.exception(), self.deaths):
-                process.stop(kill=True)
-                self._all[self._all.index(process)] = _Process()
-        busy = set(self._busy.values())
-        process = next(process for process in self._all if process not in busy)
-        future = process.submit(function, *arguments)
-        self._busy[future] = process
+        self._busy = {future: worker for future, worker in self._busy.items() if not future.done()}
+        busy = self._busy.values()
+        worker = next((worker for worker in self._workers if not worker.died and worker not in busy), None)
+        if worker is None:
+            with _starting():
+                worker = _Worker()
+                self._workers.append(worker)
+        future = self._threads.submit(worker.run, function, arguments)
+        self._busy[future] = worker
         return future
 
     def restore(self, say: Callable[[str], None]) -> None:
@@ -109,53 +111,90 @@ class LocalProcesses:
 
     def close(self, kill: bool) -> None:
         """End the workers; with `kill` busy ones die at once, without it they finish their jobs."""
-        for process in self._all:
-            process.stop(kill)
+        for worker in self._workers if kill else ():
+            worker.process.terminate()
+        for worker in self._workers if kill else ():
+            worker.process.join(PATIENCE_S)
+            worker.process.kill()
+        self._threads.shutdown()
+        for worker in self._workers:
+            worker.pipe.close()
+            worker.process.join()
 
 
-class _Process:
-    """One worker process, started with its first job."""
+class _Worker:
+    """One worker process, and our end of the pipe to it."""
 
     def __init__(self) -> None:
-        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context(_START_METHOD), _start_worker)
+        self.pipe, theirs = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_work, args=(theirs,))
+        self.process.start()
+        theirs.close()
+        self.died = False
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        _ensure_server()
-        with _environment(ONE_THREAD), _signals_deferred():
-            return self._pool.submit(function, *arguments)
+    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """The result of a job in the process. Raises what the job raises, or `WorkerDied`."""
+        begun = None
+        try:
+            self.pipe.send((function, arguments))
+            self._received()
+            begun = time.monotonic()
+            result, error = self._received()
+        except (EOFError, OSError):
+            self.died = True
+            raise WorkerDied(None if begun is None else time.monotonic() - begun) from None
+        if error is not None:
+            raise error
+        return result
 
-    def stop(self, kill: bool) -> None:
-        processes = list((self._pool._processes or {}).values()) if kill else []
-        for process in processes:
-            process.terminate()
-        self._pool.shutdown(wait=not kill, cancel_futures=True)
-        for process in processes:
-            process.join(PATIENCE_S)
-            process.kill()
-        self._pool.shutdown(wait=True)
+    def _received(self) -> Any:
+        """The next thing that the process sends. Raises `EOFError` if it is dead."""
+        # A child of a dead process may keep the other end of the pipe open.
+        connection.wait([self.pipe, self.process.sentinel])
+        if not self.pipe.poll():
+            raise EOFError
+        return self.pipe.recv()
 
 
-def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, end in order on SIGTERM, and die with the parent: a worker without a parent must
-    not continue to write into a dataset."""
+def _work(pipe: connection.Connection) -> None:
+    """The main function of a worker process: run jobs until the pipe is closed. For each job it sends None, when the
+    job begins, and then the outcome.
+
+    Ctrl-C is left to the parent. On SIGTERM the process ends in order, and it ends when the parent does: a worker
+    without a parent must not continue to write into a dataset.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
     parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+    assert parent is not None
+    threading.Thread(target=_die_with, args=(parent.sentinel,), daemon=True).start()
+    # An error of the pipe means that nobody reads any more.
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        while True:
+            function, arguments = pipe.recv()
+            pipe.send(None)
+            pipe.send(_outcome(function, arguments))
+
+
+def _outcome(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[Any, Exception | None]:
+    """What a job returned, or raised; one of the two is None."""
+    try:
+        return function(*arguments), None
+    except Exception as error:
+        # The parent sees only its own part of the stack.
+        error.add_note("".join(traceback.format_tb(error.__traceback__)))
+        return None, error
 
 
 def _terminate(*_: object) -> NoReturn:
-    # Nobody reads the result that this worker may be sending; Python would print a traceback about that.
+    # Python would print a traceback of what this signal interrupts in a destructor.
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     raise Ended(1)
 
 
 def _die_with(sentinel: int) -> None:
     """Wait until the parent process is gone, then end this process."""
-    from multiprocessing.connection import wait
-
-    wait([sentinel])
+    connection.wait([sentinel])
     main = threading.main_thread().ident
     assert main is not None
     signal.pthread_kill(main, signal.SIGTERM)
@@ -305,7 +344,7 @@ def started(engine: str, workers: int, scheduler: str | None) -> Iterator[Engine
     running: Engine = LocalProcesses(workers) if engine == "local" else DaskCluster(workers, scheduler)
     try:
         yield running
+        running.close(kill=False)
     except BaseException:
         running.close(kill=True)
         raise
-    running.close(kill=False)

@@ -23,15 +23,14 @@ from datagen.transport.visibility.coincidence import set_apart
 from datagen.units import path_from_time
 
 SCENES_TRIED = 16
-"""Scenes that are generated before a build, without light, to find a configuration that cannot be simulated. With
-half as many, one that fails in one scene of ten would pass 43 % of the time instead of 19 %."""
+"""Scenes that are generated before a build, without light, to find a configuration that cannot be simulated: one that
+fails in one scene of ten passes 19 % of the time."""
 LIT_SCENES_TRIED = 4
-"""The same where scenes are accepted by their light, which takes seconds for each: half as many find less, sooner."""
-
+"""The same where scenes are accepted by their light, which takes seconds for each."""
 
 LATE_SCENES = 0.25
-"""Share of the scenes tried in which most zones may look beyond the end of the time axis. Halved, sensors that look
-into large rooms on purpose are warned of, too."""
+"""Share of the scenes tried in which most zones may look beyond the end of the time axis without a warning: sensors
+look into large rooms on purpose."""
 
 
 def check_inputs(config: DatasetConfig) -> None:

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 LINE_S = 10.0
-"""Seconds between the first lines; later lines come after a twentieth of the time since the build began. With half as
-many seconds a log has twice the lines."""
+"""Seconds between the first lines; later lines come after a twentieth of the time since the build began."""
 
 
 class Progress:

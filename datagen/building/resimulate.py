@@ -52,8 +52,8 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
     with started("local", 1, None) as running:
         for index in chosen:
             scene, record = made[index]
-            again = running.submit(_digests, config, manifest.schema, index).result()
-            fields = [name for name, due in scene.digests.items() if again[name] != due]
+            now = running.submit(_digests, config, manifest.schema, index).result()
+            fields = [name for name, due in scene.digests.items() if now[name] != due]
             if fields:
                 why = "; ".join(mixed([record.made_by, made_with()], also=("processor",)))
                 made_otherwise = f" (what it was made with differs: {why})" if why else ""

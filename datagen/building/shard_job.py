@@ -5,13 +5,12 @@ from __future__ import annotations
 import faulthandler
 import os
 import pickle
-import re
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from datagen.config import DatasetConfig
@@ -29,17 +28,14 @@ from datagen.store import (
     running_path,
     write_shard,
 )
-from datagen.store.environment import made_with, mixed, together
+from datagen.store.environment import joined, made_with, mixed
 
 GRACE_S = 10.0
 """Seconds beyond the time limit of a scene (at most the limit itself) after which its process ends, because the
-exception did not reach it. Half as many would end processes that are in a long library call; a new one must start."""
-SLOT = 20
-"""Bytes for each scene in the file of begin times; half as many have no room for a Unix time."""
+exception did not reach it: time for a library call to return."""
 LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
-"""Seconds to wait for another writer of the same shard, such as a worker of a killed build, which ends within 3 s.
-Half as many would be close to that on a busy machine."""
+"""Seconds to wait for another writer of the same shard, such as a worker of a killed build, which ends within 3 s."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +43,11 @@ class ShardJob:
     """The input of a job, as it is sent to a worker.
 
     root : the dataset's folder.
-    skip : scene that must not be tried → reason.
-    handed_out : Unix time at which the job was submitted.
+    submitted : Unix time at which the job was submitted.
+    known : scene → what `make_scene` returned for it in another worker, or why it is not to be tried.
+    started : Unix time at which the first of the known scenes was begun; None if there are none.
     made_with : the environment of the other shards; None if any mixture is accepted.
     scene_seconds : time limit of a scene; None: no limit.
-    given : scene → what `make_scene` returned, if several workers made the scenes; the job then only writes the
-        shard.
-    begun : Unix time at which the first of these scenes was begun.
     """
 
     root: Path
@@ -62,21 +56,16 @@ class ShardJob:
     fingerprint: str
     shard: int
     sample_function: Callable[[DatasetConfig, int], Sample]
-    skip: Mapping[int, str]
-    handed_out: float
+    submitted: float
+    known: Mapping[int, bytes | str] = field(default_factory=dict)
+    started: float | None = None
     made_with: Mapping[str, str] | None = None
     scene_seconds: float | None = None
-    given: Mapping[int, bytes | str] | None = None
-    begun: float | None = None
 
 
 def make_scene(job: ShardJob, index: int) -> bytes | str:
     """One scene of a shard as a pickled sample, or one line on why there is none."""
-    if index in job.skip:
-        return job.skip[index]
-    with _opened(running_path(job.root, job.shard)) as running:
-        _begin(job, running, index)
-        sample = _attempt(job, index)
+    sample = _attempt(job, index)
     try:
         return sample if isinstance(sample, str) else pickle.dumps(sample)
     except Exception as error:
@@ -97,12 +86,12 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         record = _committed(job)
         # A record that is newer than the job was committed by another build, or by this job before its result got
         # lost.
-        if record is None or (record.failures and record.finished <= job.handed_out):
+        if record is None or (record.failures and record.finished <= job.submitted):
             samples = _samples(job, running) if record is None else _with_failed_retried(job, record, running)
-            made_by = made_with() if record is None else together(record.made_by, made_with())
+            made_by = made_with() if record is None else joined(record.made_by, made_with())
             if samples is not None:
                 where = (job.root, job.schema, job.shard, job.fingerprint)
-                record = write_shard(*where, samples, made_by, job.begun)
+                record = write_shard(*where, samples, made_by, job.started)
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
@@ -141,33 +130,25 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def scenes_begun(root: Path, schema: Schema, shard: int) -> dict[int, float]:
-    """Scene → Unix time at which a worker began it, in order, of the scenes of a shard that is not committed."""
+def scenes_begun(root: Path, shard: int) -> list[int]:
+    """The scenes that the writer of a shard has begun, in order, and of which the last is in work; none without a
+    writer."""
     try:
-        content = running_path(root, shard).read_bytes()
+        return [int(line) for line in running_path(root, shard).read_text().split() if line.isdigit()]
     except OSError:
-        return {}
-    slots = {scene: content[SLOT * k : SLOT * (k + 1)] for k, scene in enumerate(schema.scenes_of(shard))}
-    return {scene: float(slot) for scene, slot in slots.items() if re.fullmatch(rb"[0-9]+[.][0-9]+ *", slot)}
-
-
-def _begin(job: ShardJob, running: int, index: int) -> None:
-    """Write the present time into the slot of a scene in the file of begin times."""
-    at = SLOT * (index - job.schema.scenes_of(job.shard).start)
-    os.pwrite(running, f"{time.time():<{SLOT}.6f}".encode(), at)
+        return []
 
 
 def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
-    """(index, sample or reason) of some scenes of a shard (None: of all), one after the other."""
+    """(index, sample or reason) of some scenes of a shard (None: of all), one after the other. The number of each
+    becomes a line of the file `running`, for `scenes_begun`."""
     for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
-        _begin(job, running, index)
-        if index in job.skip:
-            yield index, job.skip[index]
-        elif job.given is None:
+        os.write(running, f"{index}\n".encode())
+        known = job.known.get(index)
+        if known is None:
             yield index, _attempt(job, index)
         else:
-            made = job.given[index]
-            yield index, made if isinstance(made, str) else pickle.loads(made)
+            yield index, known if isinstance(known, str) else pickle.loads(known)
 
 
 def _attempt(job: ShardJob, index: int) -> Sample | str:
@@ -200,7 +181,7 @@ def _last_line_of(error: BaseException) -> str:
 @contextmanager
 def _opened(path: Path) -> Iterator[int]:
     """The handle of a file, which is created if it is missing."""
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_APPEND, 0o644)
     try:
         yield handle
     finally:

@@ -17,9 +17,9 @@ from datagen.records.checks import check_kind
 from datagen.seeding import Purpose, generator
 
 CONFOCAL_PIXEL_M = 0.05
-"""Side of a confocal pixel on the wall if no size is configured. Halved, it collects a quarter of the light."""
+"""Side of a confocal pixel on the wall if no size is configured."""
 SAME_PLACE_M = 1e-9
-"""Distance below which a device stands at the scene's own place. Halved, it is still far above rounding."""
+"""Distance below which a device stands at the scene's own place. Far above rounding."""
 
 
 def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, index: int = 0) -> Capture:

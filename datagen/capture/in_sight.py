@@ -11,10 +11,9 @@ from scene_library.sightlines import first_faces, lattice_points
 
 INWARD = 0.02
 """Share of the way from a pixel's corner to its middle at which the corner is checked, because a pixel's edge may lie
-exactly on the wall's. Halved, rounding is still far below it."""
+exactly on the wall's."""
 ON_A_WALL = 1e-5
-"""Share of the distance to an object within which single precision cannot tell whether it or a wall comes first.
-Halved, an object that touches a wall may count as seen."""
+"""Share of the distance to an object within which single precision cannot tell whether it or a wall comes first."""
 
 
 def check_in_sight(key: str, what: str, scene: Scene, eye: Floats, points: Floats) -> None:

@@ -12,9 +12,9 @@ from datagen.records import Rectangle
 from datagen.records.arrays import Floats
 
 DEFAULT_FILL = 0.8
-"""Share of the visible wall that a scan or field of view covers by default. Halved, it is half as wide."""
+"""Share of the visible wall that a scan or field of view covers by default."""
 ON_THE_WALL_M = 0.01
-"""Largest distance of a place given as (x, y, z) from the wall's plane. Halved, less accurate places are refused."""
+"""Largest distance of a place given as (x, y, z) from the wall's plane."""
 
 
 def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Floats:

@@ -62,16 +62,6 @@ def folder_of(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("base_directory") or ".")
 
 
-def resolved(path: str, info: ValidationInfo) -> Path:
-    """The absolute path of a file that a configuration names."""
-    return folder_of(info).resolve() / path
-
-
-def looks_for_files(info: ValidationInfo) -> bool:
-    """Whether files are looked for: the settings of a stored dataset are read even where its files are gone."""
-    return info.context is not None and bool(info.context.get("look_for_files", True))
-
-
 def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> NoReturn:
     """Raise `InputError` for the first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
-from datagen.config.base import folder_of, looks_for_files, near_hint, resolved
+from datagen.config.base import folder_of, near_hint
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, support, within
 from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
@@ -22,26 +22,6 @@ RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """Names of the room's own parts."""
 
 
-def _existing_file(path: str, info: ValidationInfo) -> str:
-    place = resolved(path, info)
-    if looks_for_files(info) and not place.is_file():
-        found = "is a directory (kind: mesh_folder reads one)" if place.is_dir() else "no such file"
-        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
-    return path
-
-
-def _existing_folder(path: str, info: ValidationInfo) -> str:
-    place = resolved(path, info)
-    if looks_for_files(info) and not place.is_dir():
-        found = "is a file (kind: mesh reads one)" if place.is_file() else "no such folder"
-        raise ValueError(f"{path!r}: {found} ({place}); paths start at the configuration's folder")
-    if looks_for_files(info) and not classed_files(place):
-        raise ValueError(f"{path!r}: holds no mesh files ({place}); {' '.join(SUFFIXES)} are read")
-    return path
-
-
-MeshPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_file)]
-FolderPath = Annotated[str, Field(min_length=1), AfterValidator(_existing_folder)]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 
 
@@ -191,7 +171,7 @@ class Library(Standing):
 class MeshItem(Standing):
     """An object read from a mesh file, scaled to a height."""
 
-    path: str
+    path: Annotated[str, Field(min_length=1)]
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
     up: Axis = "z"
@@ -206,9 +186,15 @@ class MeshItem(Standing):
     _base: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _starts_in(self, info: ValidationInfo) -> Self:
+    def _found_from(self, info: ValidationInfo) -> Self:
         self._base = folder_of(info).resolve()
+        # The settings of a stored dataset are read even where its files are gone.
+        if info.context is not None and info.context.get("look_for_files", True):
+            self._look()
         return self
+
+    def _look(self) -> None:
+        """Raise `ValueError` where there is no such file or folder."""
 
     @property
     def base(self) -> Path | None:
@@ -230,8 +216,15 @@ class Mesh(MeshItem):
     """A mesh file, scaled to a height."""
 
     kind: Literal["mesh"] = "mesh"
-    path: MeshPath
+    path: Annotated[str, Field(min_length=1)]
     """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
+
+    def _look(self) -> None:
+        if not self.place.is_file():
+            found = "is a directory (kind: mesh_folder reads one)" if self.place.is_dir() else "no such file"
+            raise ValueError(
+                f"path = {self.path!r}: {found} ({self.place}); paths start at the configuration's folder"
+            )
 
     @property
     def part_name(self) -> str:
@@ -247,21 +240,27 @@ class MeshFolder(MeshItem):
     """A folder of mesh files: one is drawn, scaled to a height; the name of its sub-folder is its class."""
 
     kind: Literal["mesh_folder"] = "mesh_folder"
-    path: FolderPath
+    path: Annotated[str, Field(min_length=1)]
     """A folder with a sub-folder for each class; files directly in it are classes of their own."""
     classes: tuple[str, ...] | None = None
     """Names of the sub-folders to draw from, equally likely; left out: all."""
 
     _found: dict[str, tuple[Path, ...]] | None = PrivateAttr(default=None)
 
-    @model_validator(mode="after")
-    def _has_classes(self, info: ValidationInfo) -> Self:
-        if looks_for_files(info):
-            found = classed_files(resolved(self.path, info))
-            for name in self.classes or ():
-                if name not in found:
-                    raise ValueError(f"classes: {name!r} is no sub-folder with meshes; there are {', '.join(found)}")
-        return self
+    def _look(self) -> None:
+        if not self.place.is_dir():
+            found = "is a file (kind: mesh reads one)" if self.place.is_file() else "no such folder"
+            raise ValueError(
+                f"path = {self.path!r}: {found} ({self.place}); paths start at the configuration's folder"
+            )
+        classes = classed_files(self.place)
+        if not classes:
+            raise ValueError(
+                f"path = {self.path!r}: holds no mesh files ({self.place}); {' '.join(SUFFIXES)} are read"
+            )
+        for name in self.classes or ():
+            if name not in classes:
+                raise ValueError(f"classes: {name!r} is no sub-folder with meshes; there are {', '.join(classes)}")
 
     @property
     def class_names(self) -> tuple[str, ...]:

@@ -14,6 +14,9 @@ from datagen.config.distributions import Distribution, Fraction, Length, Uniform
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_relay import RelayWall
 
+Limit = tuple[str, str, str]
+"""(smaller, larger, reason): the first dimension must be below the second."""
+
 
 class Layout(Settings):
     """What all layouts share. Every dimension is drawn anew for every scene."""
@@ -35,7 +38,7 @@ class Layout(Settings):
     """Whether the relay wall is flat, and what stands before it."""
 
     choices: ClassVar[frozenset[str]] = frozenset(
-        {"kind", "turn", "floor", "ceiling", "out_of_square_deg", "relay_wall"}
+        {"kind", "place", "turn", "floor", "ceiling", "out_of_square_deg", "relay_wall"}
     )
     """Keys that are no dimensions of the plan."""
 
@@ -48,8 +51,7 @@ class Layout(Settings):
         """Name of the floor plan in `scene_library.layouts.PLANS`."""
         return str(getattr(self, "kind", ""))
 
-    limits: ClassVar[tuple[tuple[str, str, str], ...]] = ()
-    """(smaller, larger, reason): the first dimension must be below the second."""
+    limits: ClassVar[tuple[Limit, ...]] = ()
     hidden_m: ClassVar[tuple[str, tuple[str, ...]]]
     """The dimension that limits the hidden part along x, and the dimensions whose largest limits it along y."""
 
@@ -61,10 +63,13 @@ class Layout(Settings):
     def _largest(self, name: str) -> float:
         return support(getattr(self, name))[1]
 
+    def _limits(self) -> tuple[Limit, ...]:
+        return self.limits
+
     def _check(self) -> None:
         """Refuse when not even the smallest value of one dimension is below the largest of the other."""
-        ceiling = ("device_height_m", "height_m", "no room is higher than the device")
-        for small, large, reason in (ceiling, *self.limits):
+        ceiling = ("device_height_m", "height_m", "the device stands above it")
+        for small, large, reason in (ceiling, *self._limits()):
             least, most = support(getattr(self, small))[0], self._largest(large)
             if least >= most:
                 raise ValueError(
@@ -219,24 +224,24 @@ class IsolatedWall(Layout):
     """From the relay wall to the far side of the box that holds the objects; in_front alone."""
     hidden_m = ("screen_to_wall_m", ("space_width_m",))
     limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
+    limits_in_front: ClassVar[tuple[Limit, ...]] = (
+        (
+            "relay_distance_m",
+            "space_depth_m",
+            "with place = 'in_front' objects stand farther from the wall than the device",
+        ),
+    )
 
     def _check(self) -> None:
         for name in self.changed(*self._keys_of_the_other):
             raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
-        if self.place == "beside":
-            super()._check()
-            return
-        if "relay_distance_m" not in self.model_fields_set:
+        if self.place == "in_front" and "relay_distance_m" not in self.model_fields_set:
             # A default that follows from another key. The frozen model may still change, since nobody has it yet.
             object.__setattr__(self, "relay_distance_m", NEAR_THE_WALL)
-        least, most = support(self.relay_distance_m)[0], self._largest("space_depth_m")
-        if least >= most:
-            raise ValueError(
-                f"relay_distance_m ≥ {least:g} with space_depth_m ≤ {most:g}: with place = 'in_front' objects stand "
-                "farther from the wall than the device; lower the first or raise space_depth_m"
-            )
-        if support(self.device_height_m)[0] >= self._largest("height_m"):
-            raise ValueError("device_height_m: no wall is higher than the device; lower it or raise height_m")
+        super()._check()
+
+    def _limits(self) -> tuple[Limit, ...]:
+        return self.limits if self.place == "beside" else self.limits_in_front
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:
@@ -249,11 +254,7 @@ class IsolatedWall(Layout):
 
     def dimensions(self) -> dict[str, Distribution]:
         """As for every layout, those of its place."""
-        return {
-            name: value
-            for name, value in super().dimensions().items()
-            if name != "place" and name not in self._keys_of_the_other
-        }
+        return {name: value for name, value in super().dimensions().items() if name not in self._keys_of_the_other}
 
     def largest_hidden_m(self) -> tuple[float, float]:
         """As for every layout; beside, the wall may reach further across than the space beside the screen."""

@@ -65,20 +65,19 @@ class ViewFrame:
         """(..., 3) world points of view coordinates (..., 3): the inverse of `to_view`."""
         return points @ self.axes + self.center
 
-    def to_pixels(self, in_view: Floats, rows: int, columns: int) -> Floats:
-        """(..., 3) column and row (in pixels, centres at +½) and depth in metres, of view coordinates (..., 3)."""
-        column = (in_view[..., 0] + self.half_width_m) * (columns / (2 * self.half_width_m))
-        row = (self.half_height_m - in_view[..., 1]) * (rows / (2 * self.half_height_m))
-        return np.stack([column, row, in_view[..., 2]], axis=-1)
+
+def pixel_places(rows: int, columns: int, half_width_m: float, half_height_m: float) -> Floats:
+    """(rows · columns, 2) right and up, in metres of the label frame, of the centres of image pixels, row by row."""
+    right = (2 * (np.arange(columns) + 0.5) / columns - 1) * half_width_m
+    up = (1 - 2 * (np.arange(rows) + 0.5) / rows) * half_height_m
+    return np.stack(np.meshgrid(right, up), axis=-1).reshape(-1, 2)
 
 
 def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
     """(N, 3) right, up and depth, in metres of the label frame, of the centres of the image pixels in `mask`."""
-    rows, columns = depth.shape
-    row, column = np.nonzero(mask)
-    right = (2 * (column + 0.5) / columns - 1) * half_width_m
-    up = (1 - 2 * (row + 0.5) / rows) * half_height_m
-    return np.stack([right, up, depth[row, column].astype(np.float64)], axis=-1)
+    seen = mask.reshape(-1)
+    at = pixel_places(*depth.shape, half_width_m, half_height_m)[seen]
+    return np.concatenate([at, depth.reshape(-1, 1)[seen].astype(np.float64)], axis=-1)
 
 
 def scan_place(view: Rectangle, laser_points: Floats) -> tuple[float, float] | None:

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.labels.frame import ViewFrame
-from datagen.labels.raster import first_hits
+from datagen.labels.frame import ViewFrame, pixel_places
+from datagen.labels.triangles import Triangles, plane_depths
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
 _FLAT = 1e-6
-"""Distance from the wall's plane, in units of the view's size, within which a wall counts as part of it. Halved, it
-is still far above rounding."""
+"""Distance from the wall's plane, in units of the view's size, within which a wall counts as part of it: far above
+rounding, and far below what anybody builds."""
 _SMALLEST_DEPTH_M = 1e-6
-"""Depth of a surface that touches the relay wall: 0 means that no surface is seen. Halved, it is half as deep."""
+"""Depth of a surface that touches the relay wall, as 0 means that no surface is seen."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,8 @@ def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
 
     The relay wall itself is a window: parts with the role `relay_wall` are left out, and so is structure in the plane
     of the view (the rest of the wall to which the relay wall belongs). Objects are never left out; one that touches
-    the wall has the depth 1 µm.
+    the wall has the depth 1 µm. Of two surfaces in one place either is seen (a dataset's scenes have none, see
+    `set_apart`).
     """
     frame = ViewFrame.of(scene)
     in_view = frame.to_view(scene.vertices)[scene.triangles]
@@ -47,10 +48,16 @@ def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
     is_object = np.array([role == "object" for role in scene.roles])[scene.face_part]
     is_structure = np.array([role == "structure" for role in scene.roles])[scene.face_part]
     seen = np.flatnonzero(is_object | (is_structure & (in_view[:, :, 2].max(axis=1) > tolerance)))
-    hit, depth = first_hits(frame.to_pixels(in_view[seen], rows, columns), rows, columns, -tolerance)
-    empty = hit < 0
-    face = np.where(empty, -1, np.append(seen, -1)[hit])
-    return HiddenSurface(scene, frame, face, np.where(empty, 0.0, np.maximum(depth, _SMALLEST_DEPTH_M)))
+    corners = in_view[seen]
+    at = pixel_places(rows, columns, frame.half_width_m, frame.half_height_m)
+    # A hair before the wall's plane, so that an object that touches the wall is met.
+    start = np.concatenate([at, np.full((len(at), 1), -tolerance)], axis=-1)
+    hit = Triangles(corners).first_met(start, np.array([0.0, 0.0, 1.0]))
+    met = hit >= 0
+    depth = np.zeros(len(at))
+    depth[met] = np.maximum(plane_depths(corners[hit[met]], at[met]), _SMALLEST_DEPTH_M)
+    face = np.where(met, np.append(seen, -1)[hit], -1)
+    return HiddenSurface(scene, frame, face.reshape(rows, columns), depth.reshape(rows, columns))
 
 
 def depth_image(surface: HiddenSurface) -> NDArray[np.float32]:

@@ -15,26 +15,23 @@ lamp's `even_points`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.labels.frame import image_points
 from datagen.labels.images import HiddenSurface, albedo_image, normal_image
-from datagen.records import Rectangle
-from datagen.records.arrays import Bools, Floats
-from scene_library.sightlines import even_points, occlusion_test
+from datagen.labels.triangles import Triangles
+from datagen.records.arrays import Floats
+from scene_library.sightlines import even_points
 
 AMBIENT_RADIANCE = 0.15
-"""Radiance, in units of the lamp's, of directions without the lamp. Halved, shadows are half as bright."""
+"""Radiance, in units of the lamp's, of directions without the lamp."""
 _PIXELS_AT_ONCE = 1 << 10
-"""Pixels whose rays are traced in one call: 65 536 rays, 6 MB. Halved, half of that."""
+"""Pixels whose rays are traced in one call, which bounds the memory for rays to some 10 MB."""
 _LIFT = 1e-5
-"""Distance by which the ends of rays are lifted off their surfaces, in units of the scene's size. Halved, single
-precision lets surfaces shadow themselves in large scenes."""
+"""Distance by which the ends of rays are lifted off their surfaces, in units of the scene's size: far above the
+rounding of single precision, by which surfaces would shadow themselves."""
 
 
 def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
@@ -50,67 +47,40 @@ def shaded_image(surface: HiddenSurface) -> NDArray[np.float32]:
             "Scene.from_parts(..., relay_wall=Rectangle.of(center, right, up)) or leave shaded out of store.fields"
         )
     seen = surface.face >= 0
-    points = frame.to_world(image_points(surface.depth, seen, frame.half_width_m, frame.half_height_m))
-    normals = normal_image(surface)[seen].astype(np.float64) @ frame.axes
-    occluders = scene.corners[np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]]
-    lift = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
-    blocked = occlusion_test(occluders)
+    points = image_points(surface.depth, seen, frame.half_width_m, frame.half_height_m)
+    normals = normal_image(surface)[seen].astype(np.float64)
+    is_occluder = np.array([role != "relay_wall" for role in scene.roles])[scene.face_part]
+    occluders = Triangles(frame.to_view(scene.corners[is_occluder]))
+    lamp = scene.relay_wall
+    on_lamp, corners = (frame.to_view(of) for of in (even_points(lamp.center, lamp.right, lamp.up), lamp.corners))
+    lamp_normal = frame.axes @ lamp.normal
+    lift_m = _LIFT * float(np.ptp(scene.vertices, axis=0).max())
     lit = np.empty(len(points))
     for some in (slice(k, k + _PIXELS_AT_ONCE) for k in range(0, len(points), _PIXELS_AT_ONCE)):
-        lit[some] = _lit(points[some], normals[some], scene.relay_wall, blocked, lift)
+        share = _visible_share(points[some], normals[some], on_lamp, lamp_normal, occluders, lift_m)
+        lit[some] = form_factors(points[some], normals[some], corners) * share
     image = np.zeros(seen.shape)
     image[seen] = lit + (1 - lit) * AMBIENT_RADIANCE
     return (image * albedo_image(surface)).astype(np.float32)
 
 
-def _lit(
-    points: Floats, normals: Floats, lamp: Rectangle, blocked: Callable[[Floats, Floats], Bools], lift_m: float
+def _visible_share(
+    points: Floats, normals: Floats, on_lamp: Floats, lamp_normal: Floats, occluders: Triangles, lift_m: float
 ) -> Floats:
-    """(n,) form factor of each point (n, 3) to the part of the lamp that it sees.
-
-    It is the exact form factor to the whole lamp times the visible share of it, in which each lamp point counts by
-    the light that it would send.
-    """
-    whole = form_factors(points, normals, lamp.corners)
-    on_lamp = even_points(lamp.center, lamp.right, lamp.up)
-    weight, start, end = _segments(points, normals, on_lamp, lamp.normal, lift_m)
+    """(n,) share of the lamp that each point (n, 3) sees: of the light of m points on it, cosθ cosθ′ / R² each, that
+    of the points which nothing hides."""
+    toward = on_lamp - points[:, None]
+    leaving, arriving = np.einsum("nmk,nk->nm", toward, normals), -(toward @ lamp_normal)
+    # A point behind the other one's surface sends it no light, and needs no ray.
+    faces = (leaving > 0) & (arriving > 0)
+    weight = np.where(faces, leaving * arriving / np.einsum("nmk,nmk->nm", toward, toward) ** 2, 0.0)
     sent = weight.sum(axis=1)
-    weight[weight > 0] *= ~blocked(start, end)
-    share = np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0)
-    return np.asarray(whole * share)
+    point, lamp_point = np.nonzero(faces)
+    starts = points[point] + lift_m * normals[point]
+    weight[faces] *= ~occluders.blocked(starts, on_lamp[lamp_point] + lift_m * lamp_normal)
+    return np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0)
 
 
-@compiled()
-def _segments(
-    points: Floats, normals: Floats, on_lamp: Floats, lamp_normal: Floats, lift_m: float
-) -> tuple[Floats, Floats, Floats]:
-    """(n, m) weights cosθ cosθ′ / R², up to a factor, of the light from m points of the lamp to n points; and for
-    each positive weight, row by row, both ends (·, 3) of the segment between the two, lifted off their surfaces."""
-    weight = np.empty((len(points), len(on_lamp)))
-    start = np.empty((weight.size, 3))
-    end = np.empty((weight.size, 3))
-    used = 0
-    for p in range(len(points)):
-        for q in range(len(on_lamp)):
-            square, leaving, arriving = 0.0, 0.0, 0.0
-            for k in range(3):
-                toward = on_lamp[q, k] - points[p, k]
-                square += toward * toward
-                leaving += toward * normals[p, k]
-                arriving -= toward * lamp_normal[k]
-            # A point behind the other one's surface sends it no light, and needs no ray.
-            if leaving > 0.0 and arriving > 0.0:
-                weight[p, q] = leaving * arriving / (square * square)
-                for k in range(3):
-                    start[used, k] = points[p, k] + lift_m * normals[p, k]
-                    end[used, k] = on_lamp[q, k] + lift_m * lamp_normal[k]
-                used += 1
-            else:
-                weight[p, q] = 0.0
-    return weight, start[:used], end[:used]
-
-
-@compiled()
 def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
     """(n,) form factors from small surface elements at `points` with unit `normals` (n, 3) to a convex polygon
     `corners` (m, 3), or to its part in front of the element, by Lambert's formula
@@ -119,45 +89,25 @@ def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:
 
     with Θ the angle that an edge subtends and Γ the unit normal of the plane through the edge and the point.
     """
-    count = len(corners)
-    result = np.zeros(len(points))
-    kept = np.empty((2 * count, 3))
-    offset = np.empty((count, 3))
-    height = np.empty(count)
-    for p in range(len(points)):
-        # Corners relative to the element, and their heights above its plane.
-        for c in range(count):
-            height[c] = 0.0
-            for k in range(3):
-                offset[c, k] = corners[c, k] - points[p, k]
-                height[c] += offset[c, k] * normals[p, k]
-        # The part of the polygon behind the element is clipped (Sutherland & Hodgman), for it would count as
-        # negative.
-        count_kept = 0
-        for c in range(count):
-            after = (c + 1) % count
-            if height[c] > 0.0:
-                for k in range(3):
-                    kept[count_kept, k] = offset[c, k]
-                count_kept += 1
-            if (height[c] > 0.0) != (height[after] > 0.0):
-                share = height[c] / (height[c] - height[after])
-                for k in range(3):
-                    kept[count_kept, k] = offset[c, k] + (offset[after, k] - offset[c, k]) * share
-                count_kept += 1
-        total = 0.0
-        for c in range(count_kept):
-            after = (c + 1) % count_kept
-            across, along, area = 0.0, 0.0, 0.0
-            for k in range(3):
-                i, j = (k + 1) % 3, (k + 2) % 3
-                side = kept[c, i] * kept[after, j] - kept[c, j] * kept[after, i]
-                area += side * side
-                across += normals[p, k] * side
-                along += kept[c, k] * kept[after, k]
-            # arctan2 keeps the digits of small angles, half of which an arc cosine would lose.
-            length = np.sqrt(area)
-            if length > 0.0:
-                total += np.arctan2(length, along) * across / length
-        result[p] = abs(total) / (2 * np.pi)
-    return result
+    start = corners - points[:, None]
+    end = np.roll(start, -1, axis=1)
+    height, after = (np.einsum("nmk,nk->nm", of, normals) for of in (start, end))
+    # The part of the polygon behind the element is clipped (Sutherland & Hodgman), for it would count as negative:
+    # an edge that crosses the element's plane ends, or begins, there.
+    leaves, enters = (height > 0) & (after <= 0), (height <= 0) & (after > 0)
+    crosses = leaves | enters
+    share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)[..., None]
+    crossing = start + (end - start) * share
+    in_front = ((height > 0) | (after > 0))[..., None]
+    first = np.where(enters[..., None], crossing, start) * in_front
+    last = np.where(leaves[..., None], crossing, end) * in_front
+    # In the element's plane one more edge closes a polygon that was cut.
+    closing = [(crossing * at[..., None]).sum(axis=1, keepdims=True) for at in (leaves, enters)]
+    first, last = (np.concatenate(pair, axis=1) for pair in zip((first, last), closing, strict=True))
+    side = np.cross(first, last)
+    length = np.linalg.norm(side, axis=-1)
+    across = np.einsum("nmk,nk->nm", side, normals)
+    # arctan2 keeps the digits of small angles, half of which an arc cosine would lose.
+    angle = np.arctan2(length, np.einsum("nmk,nmk->nm", first, last))
+    total = np.divide(angle * across, length, out=np.zeros_like(angle), where=length > 0).sum(axis=1)
+    return np.asarray(abs(total) / (2 * np.pi))

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.labels.distances import grid_distances
 from datagen.labels.frame import ViewFrame
-from datagen.labels.raster import cut_voxels, inside_columns
+from datagen.labels.raster import cut_voxels, enclosed_voxels
 from datagen.labels.solids import ConnectedSurface, connected_surfaces
+from datagen.labels.triangles import Triangles
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats
+from datagen.records.arrays import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -63,31 +63,34 @@ class VoxelGrid:
         return (self.high - self.low)[[2, 1, 0]] / self.shape
 
     def to_voxels(self, points: Floats) -> Floats:
-        """(..., 3) column, row and depth in voxels (centres at +½) of world points (..., 3)."""
+        """(..., 3) column, row and depth in voxels (centres at +½) of points (..., 3) of the label frame."""
         layers, rows, columns = self.shape
-        share = (self.frame.to_view(points) - self.low) / (self.high - self.low)
+        share = (points - self.low) / (self.high - self.low)
         return np.stack([share[..., 0] * columns, (1 - share[..., 1]) * rows, share[..., 2] * layers], axis=-1)
 
     @property
     def depths(self) -> Floats:
         """(depth,) middles of the layers, metres."""
-        share = (np.arange(self.shape[0]) + 0.5) / self.shape[0]
-        return np.asarray(self.low[2] + share * (self.high[2] - self.low[2]))
+        return np.asarray(self.low[2] + (np.arange(self.shape[0]) + 0.5) * self.voxel_m[0])
 
     @property
     def centers(self) -> Floats:
         """(depth, row, column, 3) middles of the voxels in the label frame, metres."""
-        depth, row, column = ((np.arange(n) + 0.5) / n for n in self.shape)
-        z, y, x = np.meshgrid(depth, 1 - row, column, indexing="ij")
-        return self.low + np.stack([x, y, z], axis=-1) * (self.high - self.low)
+        return self.middles(*np.indices(self.shape))
+
+    def middles(self, layer: Ints, row: Ints, column: Ints) -> Floats:
+        """(…, 3) middles of voxels in the label frame, metres."""
+        layers, rows, columns = self.shape
+        share = [(column + 0.5) / columns, 1 - (row + 0.5) / rows, (layer + 0.5) / layers]
+        return self.low + np.stack(np.broadcast_arrays(*share), axis=-1) * (self.high - self.low)
 
 
 def object_surfaces(scene: Scene) -> list[ConnectedSurface]:
-    """The connected surfaces of all parts with the role `object`, part by part."""
-    surfaces: list[ConnectedSurface] = []
+    """The connected surfaces of all parts with the role `object`, part by part, in the label frame."""
+    corners, surfaces = ViewFrame.of(scene).to_view(scene.corners), list[ConnectedSurface]()
     for part, role in enumerate(scene.roles):
         if role == "object":
-            surfaces += connected_surfaces(scene.corners[scene.face_part == part])
+            surfaces += connected_surfaces(corners[scene.face_part == part])
     return surfaces
 
 
@@ -102,7 +105,7 @@ def occupancy(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArray[np.u
     thinnest = float(grid.voxel_m.min())
     for surface in surfaces:
         if surface.closed:
-            occupied |= _inside(grid, surface)
+            occupied |= _enclosed(grid, surface)
         if surface.mean_thickness_m < thinnest:
             occupied |= cut_voxels(grid.to_voxels(surface.corners), grid.shape)
     return occupied.astype(np.uint8)
@@ -117,27 +120,20 @@ def signed_distance(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArra
     """
     if not surfaces:
         return np.full(grid.shape, np.linalg.norm(grid.high - grid.low), np.float32)
-    smallest = _distances(grid, np.concatenate([surface.corners for surface in surfaces]), (0, 0, 0), grid.shape)
-    for surface in surfaces:
-        inside = np.nonzero(_inside(grid, surface) if surface.closed else np.zeros(grid.shape, np.bool_))
-        if len(inside[0]):
-            # Inside a solid only its own surface counts, even if another one is nearer.
-            low, high = (tuple(int(end(place)) for place in inside) for end in (np.min, np.max))
-            own = _distances(grid, surface.corners, low, tuple(k + 1 for k in high))
-            own = own[tuple(np.subtract(inside, np.reshape(low, (3, 1))))]
-            smallest[inside] = np.minimum(smallest[inside], -own)
-    return smallest.astype(np.float32)
+    smallest = np.empty(grid.shape, np.float32)
+    every = Triangles(np.concatenate([surface.corners for surface in surfaces]))
+    rows_and_columns = np.indices(grid.shape[1:])
+    # Layer by layer, which bounds the memory of the finest grids.
+    for layer in range(grid.shape[0]):
+        smallest[layer] = every.distances(grid.middles(np.array(layer), *rows_and_columns))
+    for surface in (surface for surface in surfaces if surface.closed):
+        # Inside a solid only its own surface counts, even if another one is nearer.
+        inside = np.nonzero(_enclosed(grid, surface))
+        own = Triangles(surface.corners).distances(grid.middles(*inside))
+        smallest[inside] = np.minimum(smallest[inside], -own)
+    return smallest
 
 
-def _distances(grid: VoxelGrid, corners: Floats, low: tuple[int, ...], high: tuple[int, ...]) -> Floats:
-    """Metres from the centres of voxels low … high (`high` excluded) to the nearest of triangles (F, 3, 3)."""
-    step = grid.voxel_m * [1, -1, 1]
-    first = np.array([grid.low[2], grid.high[1], grid.low[0]]) + (0.5 + np.array(low)) * step
-    depth_row_column = np.ascontiguousarray(grid.frame.to_view(corners)[..., ::-1])
-    layers, rows, columns = (b - a for a, b in zip(low, high, strict=True))
-    return grid_distances(first, step, (layers, rows, columns), depth_row_column)
-
-
-def _inside(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
+def _enclosed(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
     """(depth, row, column) whether a closed surface encloses a voxel's centre."""
-    return inside_columns(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)
+    return enclosed_voxels(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)

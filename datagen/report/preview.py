@@ -18,10 +18,9 @@ from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import Manifest, committed, read_manifest
-from datagen.store.card import ranges
+from datagen.store.description import Description
 from datagen.store.info import info
 from datagen.store.record import SceneRecord, ShardRecord, scenes_made
-from datagen.store.table import table_of
 
 ROOMS = 24
 """Rooms in the gallery."""
@@ -89,14 +88,14 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
     if figure is not None:
         yield inside(figure, "histograms of the drawn parameters")
-    drawn = [row for row in ranges(table_of(records, ())) if not row[0].endswith("seed")]
+    dataset = Description(manifest, records)
+    drawn = [row for row in dataset.ranges() if not row[0].endswith("seed")]
     yield table(("parameter", "least", "median", "most"), drawn)
     yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
     yield "<h2>Fields</h2>"
-    shapes = (" × ".join(map(str, (manifest.schema.scenes, *f.shape))) for f in manifest.schema.fields)
     rows = [
-        (f.name, ", ".join(f.dims), shape, f.dtype, f.unit, f.meaning)
-        for f, shape in zip(manifest.schema.fields, shapes, strict=True)
+        (field.name, ", ".join(field.dims), " × ".join(shape), field.dtype, field.unit, field.meaning)
+        for field, shape in dataset.shapes.items()
     ]
     yield table(("field", "axes", "shape", "dtype", "unit", "meaning"), rows)
     yield "<h2>Configuration</h2><details><summary>as stored in <code>dataset.json</code></summary>"

@@ -18,8 +18,8 @@ from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
 BLOCK_BYTES = 2**18
-"""Decoded bytes of a block of blosc, the smallest piece that a reader can decode. A block fits into a core's cache;
-with half as many bytes datasets grow by a few percent."""
+"""Decoded bytes of a block of blosc, the smallest piece that a reader can decode: a block fits into a core's cache,
+and smaller ones compress less."""
 LEVEL = 1
 """Compression level of zstd. With blocks of this size level 5 saves 3 % of the disk and takes five times as long."""
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from datagen.store.arrays import GROUP
+from datagen.store.description import Description
 from datagen.store.files import sha256_of
 from datagen.store.location import Location
 from datagen.store.manifest import Manifest
@@ -38,9 +39,6 @@ _CONTEXT: dict[str, Any] = {
 }  # fmt: skip
 _TYPES = {"string": "sc:Text", "double": "sc:Float", "bool": "sc:Boolean"}
 _RESPONSIBLE = {
-    "rai:dataCollection": "Simulated: rooms are drawn at random as the configuration in dataset.json declares, light "
-    "is followed from a laser around a corner and back, and a model of a single-photon detector counts it. Nothing "
-    "was measured.",
     "rai:dataCollectionType": "Software Collection",
     "rai:dataAnnotationProtocol": "Labels are computed from the geometry of each room.",
     "rai:dataBiases": "Rooms, objects and materials are as likely as the configuration makes them, not as they are "
@@ -52,8 +50,6 @@ _RESPONSIBLE = {
     "rai:personalSensitiveInformation": "None: figures of persons are parametric shapes.",
 }
 _IMPORTED = _RESPONSIBLE | {
-    "rai:dataCollection": "Imported: captures as files of other programs or of a laboratory hold them; dataset.json "
-    "has names and SHA-256 of the files. How they were made is not known to datagen.",
     "rai:dataCollectionType": "Others",
     "rai:dataAnnotationProtocol": "There are no labels.",
     "rai:dataBiases": "Those of who chose what to capture.",
@@ -90,6 +86,7 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         # A configuration has an address or a name of the SPDX list.
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
+        "rai:dataCollection": Description(manifest, records).origin,
         **(_IMPORTED if manifest.imported else _RESPONSIBLE),
         "distribution": [_table_file(root), *map(_shards, fields)],
         "recordSet": [_scenes(root), _arrays(manifest)],

@@ -51,7 +51,7 @@ def mixed(environments: Sequence[Mapping[str, str]], also: Sequence[str] = ()) -
     return found
 
 
-def together(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
+def joined(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
     """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and",
     where `mixed` splits them."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}

@@ -24,7 +24,7 @@ from datagen.store.location import Location, size_of, sized_chunks
 PARTIAL = ".partial"
 """Suffix of a file that is being written. A file with this suffix that nobody has locked may be deleted."""
 JSON_BYTES = 64 * 2**20
-"""A larger JSON file was not written by datagen: a record has 256 scenes of 10 kB at most. Half would do, too."""
+"""A larger JSON file was not written by datagen: a record has 256 scenes of 10 kB at most."""
 _SEAL = re.compile(rb',\n  "checksum": "([0-9a-f]{64})"\n\}\n\Z')
 
 _NOTHING = errno.ENOENT, errno.ENOTDIR, errno.ELOOP

@@ -1,19 +1,17 @@
-"""The text of `datagen info`: the fields of a dataset, its accuracy and decisions, and the seconds of its build."""
+"""The text of `datagen info`: the fields of a dataset, its accuracy and effects, and the seconds of its build."""
 
 from __future__ import annotations
 
 import statistics
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from datagen.errors import InputError, printable
 from datagen.records import Scalar
 from datagen.store.card import readable
-from datagen.store.environment import mixed
+from datagen.store.description import Description
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import ShardRecord, scenes_made
-from datagen.store.summaries import evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
 from datagen.store.verify import committed
 
 Parameters = Sequence[Mapping[str, Scalar]]
@@ -26,7 +24,7 @@ STAGES = (
 
 
 def info(path: str | Location) -> str:
-    """A description of a dataset for people: shapes, sizes, seconds per scene by stage, errors, decisions. Hashes are
+    """A description of a dataset for people: shapes, sizes, seconds per scene by stage, errors, effects. Hashes are
     not compared; `verify` does that.
 
     Raises `InputError` if the folder is no dataset, or its records hold values that datagen does not write.
@@ -34,33 +32,39 @@ def info(path: str | Location) -> str:
     root = location_of(path)
     manifest = read_manifest(root)
     try:
-        return printable(_description(manifest, committed(root, manifest)))
+        return printable(_text(manifest, committed(root, manifest)))
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{root}: its commit records hold what datagen does not write ({what})") from None
 
 
-def _description(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
-    made = [scene.parameters for scene in scenes_made(records)]
-    place = label_place_line(made)
-    failures = {scene: reason for record in records for scene, reason in record.failures.items()}
-    shown = [f"  scene {scene}: {reason}" for scene, reason in sorted(failures.items())[:10]]
+def _text(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
+    dataset = Description(manifest, records)
+    failures, evidence = len(dataset.failures), [f"  {line}" for line in dataset.evidence()]
     sections = [
         [f"{manifest.config['name']}: {manifest.config['description']}".rstrip(": ")],
-        _origin(manifest, records), _fields(manifest, records), [place] if place else [], _times(records),
-        _accuracy(made), _evidence(made), _decisions(made), effect_lines(made),
-        [f"{len(failures)} scenes could not be made", *shown] if failures else [],
-    ]  # fmt: skip
+        _origin(dataset),
+        _fields(dataset),
+        [place] if (place := dataset.label_place()) else [],
+        _times(records),
+        _accuracy(dataset.made),
+        ["evidence of objects (significance of an ideal matched filter)", *evidence] if evidence else [],
+        effect_lines(dataset.made),
+        [f"{failures} scenes could not be made", *(f"  {line}" for line in dataset.failure_lines(10))]
+        if failures
+        else [],
+    ]
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
 
 
-def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
+def _origin(dataset: Description) -> list[str]:
     """Lines on how many scenes are there, and from what and with which versions they were made."""
+    manifest = dataset.manifest
     schema, files, made_by = manifest.schema, manifest.imported, manifest.made_by
-    whole = "" if len(records) == schema.shards else " (incomplete: build again to go on)"
     lines = [
-        f"scenes       {sum(len(record.scenes) for record in records)} of {schema.scenes}{whole}",
-        f"shards       {len(records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
+        f"scenes       {dataset.scenes} of {schema.scenes}"
+        f"{'' if dataset.is_whole else ' (incomplete: build again to go on)'}",
+        f"shards       {len(dataset.records)} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
         f"made by      datagen {made_by['datagen']}, commit {made_by['commit'][:12]}, on {made_by['processor']}",
@@ -69,23 +73,17 @@ def _origin(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
         kinds = ", ".join(dict.fromkeys(file.format for file in files))
         names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
-    differences = mixed([record.made_by for record in records])
-    return lines + [f"mixed        shards differ in {difference}" for difference in differences]
+    return lines + [f"mixed        {difference}" for difference in dataset.differences()]
 
 
-def _fields(manifest: Manifest, records: Sequence[ShardRecord]) -> list[str]:
+def _fields(dataset: Description) -> list[str]:
     """A line for each field with its shape and sizes, and one for each field of classes."""
-    schema, scenes = manifest.schema, sum(len(record.scenes) for record in records)
-    stored = Counter[str]()
-    for record in records:
-        for name, file in record.files.items():
-            stored[name.split("/")[1]] += file.bytes
     lines = [f"{'field':22}{'shape':26}{'dtype':9}{'decoded':>10}{'on disk':>10}  unit"]
-    for field in schema.fields:
-        shape = " × ".join(map(str, (schema.scenes, *field.shape)))
-        sizes = f"{readable(scenes * field.bytes_per_scene):>10}{readable(stored[field.name]):>10}"
-        lines.append(f"{field.name:22}{shape:26}{field.dtype:9}{sizes}  {field.unit}")
-    return lines + [f"{name}: {', '.join(field.classes)}" for name, field in schema.by_name.items() if field.classes]
+    for field, shape in dataset.shapes.items():
+        decoded, stored = readable(dataset.scenes * field.bytes_per_scene), readable(dataset.stored_bytes[field.name])
+        sizes = f"{decoded:>10}{stored:>10}"
+        lines.append(f"{field.name:22}{' × '.join(shape):26}{field.dtype:9}{sizes}  {field.unit}")
+    return lines + [f"{field.name}: {', '.join(field.classes)}" for field in dataset.shapes if field.classes]
 
 
 def seconds_by_stage(records: Sequence[ShardRecord]) -> dict[str, float]:
@@ -138,27 +136,6 @@ def _accuracy(made: Parameters) -> list[str]:
         parts = (f"{name} {statistics.median(values):.0%}" for name, values in shares.items())
         lines.append("  share of the transport's cost (median): " + ", ".join(parts))
     return lines
-
-
-def _evidence(made: Parameters) -> list[str]:
-    """Lines with the significance of the objects of each kind."""
-    lines = [*evidence_lines(evidence_by_kind(made)), *placed_anew_lines(made)]
-    head = ["evidence of objects (significance of an ideal matched filter)"]
-    return head + [f"  {line}" for line in lines] if lines else []
-
-
-def _decisions(made: Parameters) -> list[str]:
-    """A line for each parameter `decision.*`, with the number of scenes that have each of its values."""
-    counted: dict[str, Counter[str]] = {}
-    for scene in made:
-        for name, value in scene.items():
-            if name.startswith("decision."):
-                counted.setdefault(name.removeprefix("decision."), Counter())[str(value)] += 1
-    lines = [
-        f"  {name:18}" + ", ".join(f"{value} ({count})" for value, count in sorted(values.items()))
-        for name, values in counted.items()
-    ]
-    return ["decisions (scenes)", *lines] if lines else []
 
 
 _DECIDED_BY = {"trial": "trial run", "forced": "configuration", "always": "always simulated"}

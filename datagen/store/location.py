@@ -8,24 +8,23 @@ and endpoint come from the environment alone (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_A
 from __future__ import annotations
 
 import errno
-import fnmatch
 import importlib
 import io
 import os
 import re
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from datagen.errors import CheckError, InputError
 
 SCHEME = "s3://"
 READ_BYTES = 2**20
-"""Bytes that are read at a time, so that a large file need not fit into memory. Half as many are as fast."""
+"""Bytes that are read at a time, so that a large file need not fit into memory."""
 
 
 @dataclass(frozen=True)
@@ -63,77 +62,70 @@ class Bucket:
 
     def size(self) -> int:
         """The size of the object in bytes; raises `FileNotFoundError`."""
-        return int(self._request("head", str(self.key))["size"])
+        return int(self._requested("head", str(self.key))["size"])
+
+    def chunks(self) -> tuple[int, Iterator[bytes]]:
+        """Size in bytes, and content piece by piece, in one request; raises `FileNotFoundError`."""
+        answer = self._requested("get", str(self.key))
+        return int(answer.meta["size"]), (bytes(piece) for piece in self._guarded(answer))
 
     def read_bytes(self) -> bytes:
         """The content of the object; raises `FileNotFoundError`."""
         return b"".join(self.chunks()[1])
 
-    def chunks(self) -> tuple[int, Iterator[bytes]]:
-        """Size in bytes, and content piece by piece, in one request; raises `FileNotFoundError`."""
-        answer = self._request("get", str(self.key))
-        return int(answer.meta["size"]), (bytes(piece) for piece in self._guarded(answer))
-
-    def open(self, mode: str = "rb") -> io.BytesIO:
+    def open(self, mode: Literal["rb"]) -> io.BytesIO:
         """The content of the object as a file."""
-        assert mode == "rb"
         return io.BytesIO(self.read_bytes())
 
     def read_range(self, offset: int, size: int) -> bytes:
         """`size` bytes of the object from `offset` on."""
-        return bytes(self._request("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
+        return bytes(self._requested("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
 
     def glob(self, pattern: str) -> Iterator[Bucket]:
         """Objects directly below this prefix whose names match."""
-        depth = len(self.key.parts) + 1
-        for key in self._below():
-            if len(key.parts) == depth and fnmatch.fnmatch(key.name, pattern):
-                yield Bucket(self.bucket, key)
+        return (Bucket(self.bucket, key) for key in self._below() if key.match(pattern) and key.parent == self.key)
 
     def put(self, file: Path) -> None:
         """Upload a file. A large file is sent in parts, and the object appears when all parts are there."""
-        self._request("put", str(self.key), file)
+        self._requested("put", str(self.key), file)
 
     def unlink(self, missing_ok: bool = False) -> None:
         """Remove the object; raises `FileNotFoundError` if it is missing and that is not allowed."""
-        try:
-            self._request("delete", str(self.key))
-        except FileNotFoundError:
-            if not missing_ok:
-                raise
+        with suppress(FileNotFoundError) if missing_ok else nullcontext():
+            self._requested("delete", str(self.key))
 
     def _below(self) -> Iterator[PurePosixPath]:
-        for batch in self._guarded(self._request("list", f"{self.key}/")):
+        for batch in self._guarded(self._requested("list", f"{self.key}/")):
             yield from (PurePosixPath(entry["path"]) for entry in batch)
 
-    def _guarded(self, answer: Any) -> Iterator[Any]:
-        """The items of an answer; an error between them becomes one line for the user."""
-        try:
-            yield from answer
-        except Exception as error:
-            raise self._refusal(error) from None
-
-    def _request(self, what: str, *arguments: Any, **options: Any) -> Any:
-        """The answer of a function of obstore, or an error with one line for the user."""
+    def _requested(self, what: str, *arguments: Any, **options: Any) -> Any:
+        """The answer of a function of obstore."""
         if _forked:
             raise CheckError(
                 f"{self}: connections to object stores do not survive a fork; start workers anew, as by "
                 "DataLoader(…, multiprocessing_context='spawn')"
             )
         store = _store_of(self.bucket)
-        try:
+        with self._one_line():
             return getattr(importlib.import_module("obstore"), what)(store, *arguments, **options)
-        except FileNotFoundError:
-            raise FileNotFoundError(2, "no such object", str(self)) from None
-        except Exception as error:
-            raise self._refusal(error) from None
 
-    def _refusal(self, error: Exception) -> Exception:
-        """The error that the user sees: the first line of the library's message, which has no credentials in it."""
-        if isinstance(error, CheckError | InputError):
-            return error
-        text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
-        return CheckError(f"{self}: {text}; look at the address, the network and AWS_* in the environment")
+    def _guarded(self, answer: Any) -> Iterator[Any]:
+        """The items of an answer, which are requested one after the other."""
+        with self._one_line():
+            yield from answer
+
+    @contextmanager
+    def _one_line(self) -> Iterator[None]:
+        """Turn errors of obstore into one line for the user: the first of its message, without credentials."""
+        try:
+            yield
+        except FileNotFoundError:
+            raise FileNotFoundError(errno.ENOENT, "no such object", str(self)) from None
+        except Exception as error:
+            text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
+            raise CheckError(
+                f"{self}: {text}; look at the address, the network and AWS_* in the environment"
+            ) from None
 
 
 Location = Path | Bucket
@@ -222,15 +214,12 @@ os.register_at_fork(after_in_child=_after_fork)
 
 @cache
 def _store_of(bucket: str) -> Any:
-    """The connection of this process to a bucket."""
+    """The connection of this process to a bucket; by plain HTTP if the environment names an endpoint with it, such as
+    one on this machine."""
     made = importlib.import_module("obstore.store").S3Store
+    endpoint = os.environ.get("AWS_ENDPOINT_URL", os.environ.get("AWS_ENDPOINT", ""))
+    options = {"timeout": "60s"} | ({"allow_http": True} if endpoint.startswith("http://") else {})
     try:
-        return made(bucket, retry_config={"max_retries": 5}, client_options={"timeout": "60s"} | _allowed())
+        return made(bucket, retry_config={"max_retries": 5}, client_options=options)
     except Exception as error:
         raise InputError(f"{SCHEME}{bucket}: {str(error).partition(chr(10))[0]}; look at AWS_*") from None
-
-
-def _allowed() -> dict[str, Any]:
-    """Options that allow plain HTTP if the environment names an endpoint with it, such as one on this machine."""
-    endpoint = os.environ.get("AWS_ENDPOINT_URL", os.environ.get("AWS_ENDPOINT", ""))
-    return {"allow_http": True} if endpoint.startswith("http://") else {}

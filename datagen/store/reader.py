@@ -35,13 +35,11 @@ from datagen.store.schema import Field
 from datagen.store.shard import digest
 
 MEMORY_BYTES = 256 * 2**20
-"""Memory of a reader for indices of shards, small fields, and large fields that need at most a quarter of it in all.
-With half as much, datasets with fields of 32 to 64 MiB would be decoded again in every epoch."""
+"""Memory of a reader for indices of shards, small fields, and large fields that need a quarter of it at most."""
 MOST_THREADS = 8
-"""Threads that decode the scenes of a batch side by side. With half as many a batch takes up to twice as long on a
-machine with eight cores."""
+"""Threads that decode the scenes of a batch side by side, if there are as many cores."""
 WORTH_BYTES = 2**21
-"""Decoded bytes of a read below which starting threads takes longer than it saves; half as many change little."""
+"""Decoded bytes of a read below which starting threads takes longer than it saves."""
 _MISSING = 2**64 - 1
 """Offset and size of a missing chunk in a shard's index (Zarr's `sharding_indexed`)."""
 _CRC_BYTES = 4

@@ -21,10 +21,10 @@ FORMAT = 1
 """Number of the stored format. It rises when the bytes of a file or the meaning of a field change, not when a field
 is added, nor when a seed gives other light: `made_by` in `dataset.json` has the version of datagen for that."""
 CHUNK_BYTES = 4 * 2**20
-"""Largest raw size of a chunk; a scene with more is cut, first along `laser`. Half as much would double the requests
-to an object store for a large scene, and reading from a disk would take the same time."""
+"""Largest raw size of a chunk; a scene with more is cut, first along `laser`. Smaller chunks take more requests to an
+object store; the time to read from a disk does not depend on it."""
 SHARD_BYTES = 256 * 2**20
-"""Largest raw size of a shard over all fields. Half as much would double the number of files."""
+"""Largest raw size of a shard over all fields: a worker holds a shard in memory, and each shard has its files."""
 LARGEST_CHUNK_BYTES = 2**31 - 17
 """Blosc's own limit."""
 LARGEST_SCENE_BYTES = 2**34

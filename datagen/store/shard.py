@@ -26,8 +26,8 @@ FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "sha
 
 
 def discard_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Remove the record and every file of a shard, finished or partial. The record goes first, so that it never
-    vouches for files that are gone.
+    """Remove the record and every file of a shard, finished or partial. The record goes first, so that no
+    record lists files that are gone.
 
     Raises `InputError` if one of them is reached through a symbolic link; nothing is removed then.
     """

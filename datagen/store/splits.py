@@ -14,13 +14,13 @@ from datagen.seeding import Purpose, seed_sequence
 
 Parameters = Mapping[str, Scalar]
 NOT_OF_THE_ROOM = (
-    "attempts", "draws", "scene.", "capture.", "detector.", "exposure.", "effect.", "decision.", "sampler.",
+    "attempts", "draws", "scene.", "capture.", "detector.", "exposure.", "effect.", "sampler.",
     "transient.", "transport.", "histogram.", "stats.", "evidence.",
 )  # fmt: skip
 """Prefixes of parameters that do not describe the room: two scenes that differ in these alone show the same room."""
 _BLOCK = 10
 """Ten rooms in a row have their random numbers in ten different tenths of 0 … 1, so that small datasets have all
-splits, too. With half as many rooms, a split of a tenth would be missing in some blocks."""
+splits, too."""
 
 
 def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:

@@ -44,7 +44,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     return FieldStats(float(mean), math.sqrt(square), found.size / size)
 
 
-def together(scenes: Sequence[FieldStats]) -> dict[str, float]:
+def pooled(scenes: Sequence[FieldStats]) -> dict[str, float]:
     """The statistics of several scenes of one shape, from those of each: field of `FieldStats` → value."""
     if not scenes:
         raise ValueError("no scenes")

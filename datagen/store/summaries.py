@@ -14,15 +14,15 @@ from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE
 
 LEAST = 3.0
-"""Significance, in standard deviations, below which a label cannot be learnt from the data. With half as much, one
-empty room in 15 would look as if the object were there, instead of one in 700."""
+"""Significance, in standard deviations, below which a label cannot be learnt from the data: one empty room in 700
+looks as if the object were there."""
 SHARE = 0.9
-"""Fraction of the objects that an advice brings over `LEAST`; with half, every other object would stay below."""
+"""Fraction of the objects that an advice brings over `LEAST`."""
 PLACED_ANEW = "evidence.placed_anew"
 """Parameter of a scene: how often its objects were placed again for want of evidence."""
 OVER_M = 0.01
 """Distance of the middles up to which label images count as lying over the scan: a third of a pixel if 64 pixels
-cover 2 m. Half as much would report shifts that no pixel shows."""
+cover 2 m."""
 _SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 
 Parameters = Iterable[Mapping[str, object]]
@@ -54,12 +54,6 @@ def evidence_by_kind(scenes: Parameters, as_one: str | None = None) -> list[Kind
 
     as_one : name under which all kinds are counted as one.
     """
-    objects = significance_by_kind(scenes, as_one)
-    return [_evidence(kind, np.array(sigma)) for kind, sigma in objects.items()]
-
-
-def significance_by_kind(scenes: Parameters, as_one: str | None = None) -> dict[str, list[float]]:
-    """Kind, in alphabetical order → the significance of each of its objects; `as_one` as of `evidence_by_kind`."""
     kinds: dict[str, list[float]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
@@ -67,7 +61,7 @@ def significance_by_kind(scenes: Parameters, as_one: str | None = None) -> dict[
             if match and isinstance(value, int | float):
                 # The kind is the name of the part without its number (box_2: box).
                 kinds.setdefault(as_one or re.sub(r"_\d+$", "", match[1]), []).append(float(value))
-    return dict(sorted(kinds.items()))
+    return [_evidence(kind, np.array(sigma)) for kind, sigma in sorted(kinds.items())]
 
 
 def _evidence(kind: str, sigma: Floats) -> KindEvidence:
@@ -102,7 +96,7 @@ def placed_anew_lines(scenes: Parameters) -> list[str]:
 
 
 def label_place_line(scenes: Parameters) -> str:
-    """One sentence on where label images lie beside the scan; "" for datasets that do not store it (before 0.14)."""
+    """One sentence on where label images lie beside the scan; "" if no scene says so, as in imports."""
     shifts = []
     for parameters in scenes:
         right, up = (parameters.get(name) for name in SCAN_PLACE)

@@ -18,7 +18,7 @@ from datagen.store.files import read_json
 from datagen.store.location import Location
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
-from datagen.store.stats import QUANTITIES, FieldStats, together
+from datagen.store.stats import QUANTITIES, FieldStats, pooled
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
@@ -93,7 +93,7 @@ def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
         name: [FieldStats(**{key.rpartition(".")[2]: value for key, value in row.items()}) for row in rows]
         for name, rows in found.items()
     }
-    return {name: together(scenes) for name, scenes in stats.items() if scenes}
+    return {name: pooled(scenes) for name, scenes in stats.items() if scenes}
 
 
 def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:
@@ -138,7 +138,9 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
         described = read_json(root / CROISSANT)
         due = [file["sha256"] for file in described["distribution"] if file["@id"] == TABLE]
     except (InputError, KeyError, TypeError):
-        raise CheckError(f"{root / CROISSANT}: missing or damaged, and it vouches for {TABLE}; {remedy}") from None
+        raise CheckError(
+            f"{root / CROISSANT}: missing or damaged, and it holds the hash of {TABLE}; {remedy}"
+        ) from None
     try:
         with path.open("rb") as stored:
             if due != [hashlib.file_digest(stored, "sha256").hexdigest()]:

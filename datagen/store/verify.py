@@ -48,7 +48,7 @@ def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> No
     write_if_changed(root / MANIFEST, manifest.to_bytes())
     write_if_changed(root / TABLE, table_bytes(table))
     write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
-    write_card(root, manifest, records, table)
+    write_card(root, manifest, records)
 
 
 def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
@@ -157,7 +157,7 @@ def _summary_problems(root: Location, manifest: Manifest, records: Sequence[Shar
     texts = {CROISSANT: b"", CARD: b""}
     if same_words:
         texts[CROISSANT] = json_bytes(croissant(root, manifest, records))
-        texts[CARD] = card(manifest, records, table).encode()
+        texts[CARD] = card(manifest, records).encode()
     for name, text in texts.items():
         if not (holds(root / name, text) if same_words else (root / name).is_file()):
             yield f"{name}: missing, or differs from what the dataset holds"

@@ -21,6 +21,8 @@ from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import reconstructed, scan_of
 from datagen.units import time_from_path
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 POINT = np.array([0.3, -0.2, 0.9])
 """Right, up and depth in the label frame."""
 VIEW = np.array([[2.0, 5.0, 1.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -12,6 +12,8 @@ import datagen as dg
 from datagen.config import load_config
 from datagen.store import read_manifest, verify
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 def test_there_are_at_least_eight() -> None:
     assert len(READY) >= 8

@@ -15,6 +15,8 @@ from datagen.errors import InputError
 from datagen.records import Capture, Scene
 from datagen.report.replay import read_scene, replay
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 BOX = {"kind": "box", "width_m": 0.4, "depth_m": 0.4, "height_m": 1.0, "along": 0.6, "across": 0.5, "rotation_deg": 0}
 """A box 4.8 m ahead and 2.5 m to the left of the device, behind the inner corner 3 m ahead and 1 m to the left."""
 PATCH = {"pairing": "exhaustive", "field_of_view": {"rows": 2, "columns": 2, "width_m": 1.5, "height_m": 1.5}}

@@ -18,6 +18,8 @@ from datagen.records import Capture, Scene
 from datagen.report.replay import read_scene, replay
 from datagen.store import verify
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 ROOM: dict[str, Any] = {**SQUARE_ROOM, "materials": {"relay_wall": {"albedo": 0.8}}}
 SIDE_M, ZONES = 1.2, 4
 

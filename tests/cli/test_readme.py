@@ -13,6 +13,8 @@ import datagen
 from datagen.config import config_from_mapping, load_config
 from datagen.config.yaml_text import parse_yaml
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 

@@ -16,6 +16,8 @@ from datagen.config import config_from_mapping, load_config
 from datagen.detector import detector_for
 from datagen.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "linospad2_tdc.csv.gz"
 EDGES = [[0.0, 0.0, 30.25, 300.0], [0.0, 150.5, 150.5, 300.0]]
 TABLE = ",0,1,2\n0,0.0,30.25,300.0\n1,,,\n2,150.5,150.5,300.0\n"

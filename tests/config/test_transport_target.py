@@ -11,6 +11,8 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 SMALL = {
     "name": "targeted",
     "scenes": 2,

@@ -17,6 +17,8 @@ from datagen.detector import detector_for
 from datagen.report.contact_sheet import first_scenes
 from datagen.store import read_manifest
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 DETECTORS: dict[str, dict[str, Any]] = {
     "ideal": {},
     "background": {"ambient_rate_hz": 1e5, "dark_count_rate_hz": 1e4},

@@ -14,6 +14,8 @@ from datagen.building.resimulate import resimulate
 from datagen.pipeline import simulate_sample
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 FLOOR = 25.0
 FLOORED = [{"kind": "pillar"}, {"kind": "box", "evidence_at_least": FLOOR}]
 

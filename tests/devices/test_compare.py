@@ -19,6 +19,8 @@ from datagen.devices import Comparison, Fitted
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real"
 CAPTURES, MESH = REAL / "tmf8820_pyramid.json.gz", REAL / "tmf8820_pyramid.stl"
 real = pytest.mark.skipif(

@@ -15,6 +15,8 @@ from datagen.devices.frames import fitted_and_tested
 from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.mark.parametrize("count", [8, 16, 101, 128])
 def test_a_quarter_of_a_path_tests_what_the_quarter_before_it_fits(count: int) -> None:

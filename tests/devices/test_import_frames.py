@@ -15,6 +15,8 @@ from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.store.scenes import Scenes
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 FIELDS = ("histogram", "sensor_position", "sensor_pixels", "laser_position", "laser_points")
 
 

@@ -11,6 +11,8 @@ from datagen.config import config_from_mapping
 from datagen.report.replay import read_scene, replay
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -15,6 +15,8 @@ from datagen.evidence import light_in_sight
 from datagen.evidence.in_sight import objects_in_sight
 from datagen.transport.visibility.raycast import Raycaster
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 EYE = np.array([2.0, 0.0, 0.0])
 TIME = dg.TimeAxis(bins=80, width_s=4e-10)
 IDEAL = dg.Spad(pde=0.25, mode="ideal")

@@ -16,6 +16,8 @@ from datagen.cli import run
 from datagen.formats import export
 from datagen.store import read_manifest
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
 
 

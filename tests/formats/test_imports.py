@@ -27,6 +27,8 @@ from datagen.store.info import info
 from datagen.store.scenes import SceneContent, Scenes
 from datagen.store.verify import dataset_digest
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
 
 

@@ -12,6 +12,7 @@ from handmade_rooms import DISTANCE_M, HEIGHT_M, box_mesh, l_corridor, rectangle
 from datagen.config import LabelsConfig
 from datagen.errors import InputError
 from datagen.labels import ViewFrame, make_labels
+from datagen.labels.frame import pixel_places
 from datagen.records import Lambertian, Part, Rectangle, Scene, Sensor
 
 CONFIG = LabelsConfig(rows=50, columns=60)
@@ -87,9 +88,8 @@ def test_pixels_lie_over_those_of_a_sensor_grid(side: int) -> None:
     assert view is not None
     sensor = Sensor.grid((0, 0, 1), view.center, view.right, view.up, rows=5, columns=7)
     frame = ViewFrame.of(scene)
-    place = frame.to_pixels(frame.to_view(sensor.pixels.mean(axis=1)), 5, 7).reshape(5, 7, 3)
-    row, column = np.mgrid[:5, :7]
-    np.testing.assert_allclose(place, np.stack([column + 0.5, row + 0.5, 0 * row], axis=-1), atol=1e-12)
+    places = pixel_places(5, 7, frame.half_width_m, frame.half_height_m)
+    np.testing.assert_allclose(frame.to_view(sensor.pixels.mean(axis=1))[:, :2], places, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,6 +133,24 @@ def test_overlapping_solids_are_united() -> None:
     np.testing.assert_array_equal(labels["occupancy"], labels["sdf"] < 0)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [box_mesh((0.8, 0.8, 0.5), (4.4, 2.4, 1.25)), box_mesh((0.4, 0.6, 0.5), (4.2, 2.3, 1.25))],
+    ids=["the same face", "part of a face"],
+)
+def test_boxes_that_touch_are_united(other: trimesh.Trimesh) -> None:
+    """One object of two boxes with vertices and faces in common: rays cross both faces in one place."""
+    one = box_mesh((0.8, 0.8, 0.5), (4.4, 2.4, 0.75))
+    assert len(connected_surfaces(np.concatenate([one.triangles, other.triangles]))) == 1
+    scene = scene_of(trimesh.util.concatenate([one, other]))
+    labels = make_labels(CONFIG, scene, ("occupancy", "sdf"))
+    points = centers(scene)
+    either = np.minimum(*(box_distance(points, mesh.extents, mesh.bounds.mean(axis=0)) for mesh in (one, other)))
+    certain = abs(either) > 1e-6
+    np.testing.assert_array_equal(labels["occupancy"][certain], (either < 0)[certain])
+    np.testing.assert_allclose(labels["sdf"][either > 0], either[either > 0], atol=1e-5)
+
+
 def _clipped(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
     """Sutherland and Hodgman: the part of a polygon on one side of an axis-aligned plane."""
     kept = []
@@ -205,6 +224,12 @@ def test_range_scan_with_holes_counts_as_solid() -> None:
 
 def _indexed(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
+
+
+def test_missing_open3d_names_the_system_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match=r"^labels: images and volumes need Open3D.*docker/system-packages\.txt"):
+        make_labels(CONFIG, scene_of(ball()), ("sdf",))
 
 
 def test_scene_without_bounds_or_with_flat_ones_is_refused() -> None:

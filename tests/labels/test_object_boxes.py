@@ -16,9 +16,12 @@ from datagen.config import LabelsConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.evidence.own import OBJECT_EVIDENCE
 from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame, make_labels
+from datagen.labels.frame import image_points
 from datagen.records import Lambertian, Part, Pose, Scene
 from datagen.store import read_manifest, verify
 from scene_library.objects.classes import GROUPS
+
+pytestmark = pytest.mark.usefixtures("builds_here")
 
 CONFIG = LabelsConfig(rows=40, columns=60)
 
@@ -59,14 +62,9 @@ def test_boxes_lie_over_the_images() -> None:
     assert boxes.count == 2
     frame = ViewFrame.of(scene)
     for corners, part in zip(boxes.corners(), boxes.part, strict=True):
-        row, column = np.nonzero(labels["part_id"] == part)
-        in_pixels = frame.to_pixels(corners, CONFIG.rows, CONFIG.columns)
-        low, high = in_pixels.min(axis=0), in_pixels.max(axis=0)
-        assert (column + 0.5 >= low[0] - 1e-6).all() and (column + 0.5 <= high[0] + 1e-6).all()
-        assert (row + 0.5 >= low[1] - 1e-6).all() and (row + 0.5 <= high[1] + 1e-6).all()
-        depth = labels["depth"][row, column]
-        assert depth.min() >= low[2] - 1e-5
-        assert depth.max() <= high[2] + 1e-5
+        shown = labels["part_id"] == part
+        points = image_points(labels["depth"], shown, frame.half_width_m, frame.half_height_m)
+        assert (points >= corners.min(axis=0) - 1e-5).all() and (points <= corners.max(axis=0) + 1e-5).all()
 
 
 def spec(**more: Any) -> dict[str, Any]:

@@ -23,6 +23,8 @@ from datagen.records.arrays import Floats
 from datagen.store.scenes import SceneContent, Scenes
 from datagen.units import path_from_time
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 CURVED = {"kind": "curved", "relief_m": 0.2}
 FEW = {"lookins": 16, "fov_samples": 1}
 

@@ -27,6 +27,8 @@ from datagen.scene import generate_scene
 from datagen.store.files import sealed
 from datagen.store.record import record_path
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.fixture(scope="module")
 def config() -> DatasetConfig:

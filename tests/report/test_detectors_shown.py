@@ -14,6 +14,8 @@ from datagen.report.pages import pages
 from datagen.report.replay import read_scene, replay
 from datagen.report.style import house_style, save_png
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 DETECTORS: dict[str, dict[str, Any]] = {
     "ideal": {"mode": "ideal"},
     "lab_si": {"detector_class": "lab_si", "mode": "synchronous", "afterpulse_probability": 0},

@@ -24,6 +24,8 @@ from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import read_manifest
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 WALL = dg.Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
 
 

@@ -10,7 +10,7 @@ import pytest
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.errors import InputError
-from datagen.labels.frame import ViewFrame, scan_place
+from datagen.labels.frame import ViewFrame, pixel_places, scan_place
 from datagen.records import Rectangle, Scene
 from datagen.scene import generate_scene
 from datagen.transport.path_tracing.vertices import LaserPoints
@@ -71,10 +71,9 @@ def test_scan_points_are_the_middles_of_label_pixels() -> None:
     config = load_config(READY)
     scene = generate_scene(config.scene, config.seed, 0)
     targets = ViewFrame.of(scene).to_view(capture_for(config, scene, config.seed, 0).laser.targets)
-    pixel = ViewFrame.of(scene).to_pixels(targets, config.labels.rows, config.labels.columns)
-    row, column = np.indices((64, 64))
-    assert np.allclose(pixel[:, 0].reshape(64, 64), column + 0.5, atol=1e-9)
-    assert np.allclose(pixel[:, 1].reshape(64, 64), row + 0.5, atol=1e-9)
+    frame = ViewFrame.of(scene)
+    middles = pixel_places(config.labels.rows, config.labels.columns, frame.half_width_m, frame.half_height_m)
+    assert np.allclose(targets[:, :2], middles, atol=1e-9)
 
 
 @pytest.mark.parametrize("turn", ["left", "right"])
@@ -131,7 +130,7 @@ def test_a_stored_configuration_of_either_place_is_read_again(place: str) -> Non
         ({"screen_offset_m": 0.2}, {}, "screen_offset_m with place = 'in_front': has no meaning there"),
         ({"place": "beside", "beside_m": 1.0}, {}, "beside_m with place = 'beside'"),
         ({"relay_distance_m": 3.0}, {}, "objects stand farther from the wall than the device"),
-        ({"device_height_m": 9.0}, {}, "device_height_m: no wall is higher than the device"),
+        ({"device_height_m": 9.0}, {}, "the device stands above it; lower the first or raise height_m"),
         ({"place": "behind"}, {}, "scene.layout.place = 'behind': input should be 'beside' or 'in_front'"),
         ({}, {"distance_m": 1.0, "along": 0.3}, "along and distance_m: both say where the object stands"),
         ({}, {"offset_m": 1.0, "across": 0.3}, "across and offset_m: both say where the object stands"),

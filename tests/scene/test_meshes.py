@@ -278,7 +278,7 @@ def test_coordinates_far_from_the_origin(tmp_path: Path) -> None:
 def test_missing_file_and_folder_are_refused_when_the_configuration_is_read(tmp_path: Path) -> None:
     (tmp_path / "folder.obj").mkdir()
     for name, reason in (("absent.obj", "no such file"), ("folder.obj", "is a directory")):
-        with pytest.raises(InputError, match=rf"scene\.contents\[0\]\.path: '{name}': {reason}"):
+        with pytest.raises(InputError, match=rf"scene\.contents\[0\]: path = '{name}': {reason}"):
             spec_with(name, tmp_path)
 
 

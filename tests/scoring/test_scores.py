@@ -18,6 +18,8 @@ from datagen.labels.frame import image_points
 from datagen.scoring.metrics import chamfer_distance, ssim
 from datagen.scoring.truth import Truth, read_truth
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 PERFECT = {"depth_rmse_m": 0, "depth_mae_m": 0, "silhouette_iou": 1, "ssim": 1, "chamfer_m": 0,
            "occupancy_iou": 1, "center_m": 0}  # fmt: skip
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import re
-import secrets
 import signal
 import subprocess
 import sys
@@ -35,13 +34,6 @@ ONE_LINE = re.compile(
     r"datagen: (interrupted|terminated); (what is committed stays|not finished), run the same command again.*"
 )
 """A signal may come before the command is known."""
-NAMED = """
-import runpy, sys
-from multiprocessing.process import current_process
-current_process()._config["semprefix"] = sys.argv.pop(1)
-runpy.run_module("datagen", run_name="__main__", alter_sys=True)
-"""
-"""Runs datagen with a prefix of its own for the names of semaphores: other builds of this machine have theirs."""
 PROGRESS = re.compile(r"starting|checking the configuration|.*, once after an installation.*|\d+ of \d+ s.*|")
 
 
@@ -82,11 +74,10 @@ def is_ready(child: subprocess.Popen[str]) -> bool:
 def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> list[str] | None:
     """A line for each error of a build that got the signal; None if the build ended before the signal."""
     config, temporary = root.with_suffix(".yaml"), root.with_suffix(".tmp")
-    prefix = f"/{secrets.token_hex(4)}"
     config.write_text(CONFIG)
     temporary.mkdir(exist_ok=True)
     child = subprocess.Popen(
-        [sys.executable, "-c", NAMED, prefix, "build", str(config), str(root), "--workers", "2"],
+        [sys.executable, "-m", "datagen", "build", str(config), str(root), "--workers", "2"],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, text=True,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": str(temporary)},
         # Where the tests run in the background of a shell, Ctrl-C is ignored, and children would inherit that.
@@ -112,7 +103,6 @@ def interrupted(kind: signal.Signals, root: Path, group: bool, delay: float) -> 
     while (left := processes_of(child.pid)) and time.monotonic() < began + PATIENCE_S:
         time.sleep(0.02)
     wrong += [f"left process {process}" for process in left]
-    wrong += [f"left in /dev/shm: {path.name}" for path in Path("/dev/shm").glob(f"sem.{prefix[1:]}*")]
     wrong += [f"left a temporary file: {path}" for path in temporary.iterdir()]
     wrong += [f"left half written: {name}" for name in half_written(root)]
     return [f"{kind.name} after {delay:.2f} s ({took:.1f} s to end): {line}" for line in wrong]

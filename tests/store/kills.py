@@ -19,7 +19,7 @@ from fake_samples import fake_sample, small_config
 from datagen.config import DatasetConfig
 from datagen.records import Sample
 
-STEPS = ("fsync", "replace", "rename", "unlink", "mkdir", "rmdir", "pwrite", "link")
+STEPS = ("fsync", "replace", "rename", "unlink", "mkdir", "rmdir", "write", "link")
 """Calls of the operating system that change files or make changes permanent."""
 PIDS = "DATAGEN_TEST_PIDS"
 """Variable that names the folder in which workers leave their numbers."""

@@ -38,7 +38,7 @@ def main() -> None:
             while left or running:
                 while left and len(running) < RESERVE:
                     left -= 1
-                    job = ShardJob(Path(), config, schema, "", left, simulate_sample, {}, 0.0, made, None)
+                    job = ShardJob(Path(), config, schema, "", left, simulate_sample, 0.0, made_with=made)
                     running.add(engine.submit(nothing, job))
                 _, running = wait(running, return_when=FIRST_COMPLETED)
             seconds, spent = time.perf_counter() - begun, time.process_time() - spent

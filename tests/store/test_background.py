@@ -19,6 +19,8 @@ from datagen.pipeline import sample_of, simulate_sample
 from datagen.records import Rectangle, Sample
 from datagen.store import verify
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 FIELDS = ("histogram", "transient", "depth", "background_histogram", "background_transient")
 
 

@@ -25,6 +25,7 @@ from fake_samples import (
     small_config,
     waits_for_another,
 )
+from here_and_now import one_worker_here
 
 from datagen.building.build import parse_shards
 from datagen.config import DatasetConfig
@@ -202,7 +203,7 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.1)
     root, config = tmp_path / "set", small_config()
     manifest = prepare(root, config)
-    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, {}, time.time())
+    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, time.time())
     with running_path(root, 0).open("w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(CheckError, match="another build is writing this shard"):
@@ -213,6 +214,7 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 
+@one_worker_here()
 def test_files_are_on_the_disk_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Power may fail at any moment: before a shard's record has its name, it and the shard's files are synced."""
     synced: set[int] = set()
@@ -245,6 +247,7 @@ def files_no_longer_than(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@one_worker_here()
 def test_a_full_disk_ends_the_build_in_one_line_and_can_be_resumed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

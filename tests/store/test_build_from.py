@@ -106,7 +106,8 @@ def test_light_that_enters_as_a_record_is_counted_and_labelled_as_our_own() -> N
     own = sample_from(setup, ours)
     entered = sample_from(setup, SceneLight(ours.transient, ours.effects))
     assert own.arrays.keys() == entered.arrays.keys() and own.parameters.items() == entered.parameters.items()
-    assert all(np.array_equal(own.arrays[name], entered.arrays[name]) for name in own.arrays)
+    for name in own.arrays:
+        np.testing.assert_array_equal(own.arrays[name], entered.arrays[name])
     unsplit = sample_from(setup, SceneLight(replace(ours.transient, parts={})))
     assert np.isnan(unsplit.parameters["evidence.ball.significance"])
     assert np.array_equal(unsplit.arrays["depth"], own.arrays["depth"])

@@ -14,6 +14,8 @@ from datagen.records import Rectangle
 from datagen.store.info import info
 from datagen.store.summaries import label_place_line
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.mark.parametrize(
     ("place", "says"), [("beside", "m beside the scan, middle to"), ("in_front", "lie over the")]

@@ -17,6 +17,8 @@ from datagen.building.build import build
 from datagen.errors import CheckError, InputError
 from datagen.loader import EpochSampler, TransientDataset, collate
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -16,6 +16,8 @@ from datagen.cli import run
 from datagen.config import load_config
 from datagen.store import read_manifest
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 CONFIG = """
 scenes: 1
 scene: {contents: [ITEM]}

@@ -24,6 +24,8 @@ from datagen.records import Sample
 from datagen.store import verify
 from datagen.store.splits import splits_of
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 SPLITS = ("train", "val", "test")
 
 

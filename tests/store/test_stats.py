@@ -20,7 +20,9 @@ from hypothesis.extra.numpy import arrays
 import datagen as dg
 from datagen.errors import InputError
 from datagen.store import verify
-from datagen.store.stats import QUANTITIES, FieldStats, stats_of, together
+from datagen.store.stats import QUANTITIES, FieldStats, pooled, stats_of
+
+pytestmark = pytest.mark.usefixtures("builds_here")
 
 FIELDS = ["histogram", "transient", "depth", "normal", "occupancy", "sdf"]
 
@@ -46,7 +48,7 @@ def test_statistics_are_mean_and_standard_deviation(counts: np.ndarray, label: n
         scale = 1e-5 * max(1.0, float(np.abs(values.astype(float)).max()))
         for scene, of in zip(values, scenes, strict=True):
             assert np.allclose(astuple(of), plain(scene, name), rtol=1e-5, atol=scale)
-        assert np.allclose(list(together(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
+        assert np.allclose(list(pooled(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
 
 
 def test_almost_equal_values_have_a_small_spread() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from damage import reseal
 from fake_samples import build_fakes, changed_at_5, deaf_at_5, fails_at_5, fake_sample, hangs_at_5, small_config
+from here_and_now import one_worker_here
 
 from datagen.building.build import BuildResult
 from datagen.cli import run
@@ -153,6 +154,7 @@ def test_only_the_version_that_began_a_build_goes_on_with_it(
         assert {path: path.read_bytes() for path in dataset.rglob("*") if path.is_file()} == before
 
 
+@one_worker_here()
 def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None:
     root, tried = tmp_path / "set", []
 
@@ -184,10 +186,10 @@ def test_half_written_files_of_killed_builds_are_removed(dataset: Path) -> None:
 
 
 def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datagen.building import build as module
+    from datagen.building import jobs
     from datagen.store.environment import made_with
 
-    monkeypatch.setattr(module, "made_with", lambda: made_with() | {"numba": "0.1"})
+    monkeypatch.setattr(jobs, "made_with", lambda: made_with() | {"numba": "0.1"})
     with pytest.raises(CheckError, match=r"a worker differs in numba 0\.1 and .*--accept-mixed"):
         again(tmp_path / "set")
     assert not list(tmp_path.glob("set/build/*.json"))
@@ -202,12 +204,14 @@ def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch
         (changed_at_5(lambda made: replace(made, parameters={"odd": [1, 2]})), "parameter odd: list made"),
     ],
 )
+@one_worker_here()
 def test_a_bad_sample_costs_only_its_scene(tmp_path: Path, sample: object, why: str) -> None:
     with pytest.raises(CheckError, match=f"1 of 12 scenes.*scene 5: {why}"):
         again(tmp_path / "set", sample_function=sample)
     assert len(verify(tmp_path / "set", deep=True).problems) == 1
 
 
+@one_worker_here()
 def test_only_scenes_that_failed_are_tried_anew(pristine: Path, tmp_path: Path) -> None:
     root, tried = tmp_path / "set", []
 

@@ -22,6 +22,8 @@ from datagen.loader import TransientDataset
 from datagen.store import verify
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 
 @pytest.fixture(scope="module")
 def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:

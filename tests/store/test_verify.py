@@ -5,11 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import google_crc32c
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 import zarr
 from damage import reseal
 
+from datagen.errors import CheckError
 from datagen.store import DatasetReader, committed, read_manifest, verify
 from datagen.store.croissant import croissant
 from datagen.store.info import info
@@ -50,6 +53,22 @@ def test_damage_is_named(dataset: Path) -> None:
     assert the_problem(dataset) == f"shard 1: {SHARD}: missing"
     (dataset / "build/shard-000001.json").unlink()
     assert the_problem(dataset).startswith("shard 1: not there (no commit record)")
+
+
+def test_exchanged_shards_are_found_by_the_hash_of_a_file(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is decoded for it. Checksums of chunks cannot tell: those of other values are as sound, and the CRC-32C
+    of a file whose pieces end in their CRC-32C depends on their lengths alone."""
+    one, other = (dataset / f"data.zarr/laser_position/c/{shard}/0" for shard in (0, 1))
+    contents = one.read_bytes(), other.read_bytes()
+    assert contents[0] != contents[1] and len({(len(c), google_crc32c.value(c)) for c in contents}) == 1
+    one.write_bytes(contents[1])
+    other.write_bytes(contents[0])
+    manifest = read_manifest(dataset)
+    DatasetReader(dataset, manifest, ["laser_position"], check=False).read("laser_position", range(12))
+    with pytest.raises(CheckError, match="decodes to other values"):
+        DatasetReader(dataset, manifest, ["laser_position"]).read("laser_position", range(12))
+    monkeypatch.setattr(DatasetReader, "read", None)
+    assert [problem.split(":")[0] for problem in verify(dataset).problems] == ["shard 0", "shard 1"]
 
 
 def test_damaged_metadata_and_tables_are_found(dataset: Path, pristine: Path) -> None:

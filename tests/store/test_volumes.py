@@ -26,6 +26,8 @@ from datagen.reconstruction.backprojection import (
 )
 from datagen.store.scenes import Scenes
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 VOXELS = (5, 6, 7)
 
 

@@ -16,6 +16,8 @@ from datagen.store import read_manifest
 from datagen.suites import SUITES, Suite, catalogue, is_published, published, suite_of
 from datagen.suites.published import Published, check_agreement
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 TINY = """
 name: tiny-1
 scenes: 10

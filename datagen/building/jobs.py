@@ -1,0 +1,229 @@
+"""The loop of a build: it hands jobs to the workers, takes their results in, and does again what a dead worker left.
+
+A job makes one shard, or one scene of a shard. Most shards are made by one worker each. Where workers would be idle,
+because fewer shards than workers are left, a shard is divided: each of its scenes is a job, whose sample comes back
+here, and a last job gets all the samples and writes the shard. `Jobs.known` has what is known of scenes before their
+shard is written: such samples, and why a scene is not tried again.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from datagen import store
+from datagen.building.engines import Engine, WorkerDied
+from datagen.building.progress import Progress
+from datagen.building.shard_job import ShardJob, abandon_shard, make_scene, overtime, run_shard, scenes_begun
+from datagen.config import DatasetConfig
+from datagen.errors import CheckError
+from datagen.records import Sample
+from datagen.store import upload
+from datagen.store.environment import made_with
+
+SampleFunction = Callable[[DatasetConfig, int], Sample]
+
+DEATHS_ALLOWED = 2
+"""Worker processes that may die while they make the same scene before the build gives that scene up. One may die for
+another reason, such as memory that another program took."""
+TICK_S = 0.5
+"""Seconds between two updates of the progress bar."""
+HOPELESS = 8
+"""A build stops if all of its first `HOPELESS` scenes fail: the others would fail likewise."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a job makes: a whole shard, or one scene of it."""
+
+    shard: int
+    scene: int | None = None
+
+
+@dataclass
+class Jobs:
+    """The jobs of a build.
+
+    waiting : what is to be made, the next one first.
+    running : future → what its job makes.
+    begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was
+        submitted and before its future is in `running`; the shard is in this set by then.
+    undivided : shards that are not to be divided, or are divided already.
+    known : shard → scene → pickled sample, or why there is none, of shards that are not committed.
+    started : divided shard → Unix time at which its first scene was handed out.
+    finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
+    deaths : scene → workers that died while they made it; −1 → workers in a row that died before any scene.
+    """
+
+    config: DatasetConfig
+    output: upload.Output
+    manifest: store.Manifest
+    engine: Engine
+    sample_function: SampleFunction
+    accept_mixed: bool
+    scene_seconds: float | None
+    progress: Progress
+    waiting: deque[Task] = field(default_factory=deque)
+    running: dict[Future[Any], Task] = field(default_factory=dict)
+    begun: set[int] = field(default_factory=set)
+    undivided: set[int] = field(default_factory=set)
+    known: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
+    started: dict[int, float] = field(default_factory=dict)
+    finished: int = 0
+    made: int = 0
+    failed: int = 0
+    deaths: Counter[int] = field(default_factory=Counter)
+
+    @property
+    def root(self) -> Path:
+        return self.output.folder
+
+    @property
+    def schema(self) -> store.Schema:
+        return self.manifest.schema
+
+    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:
+        """Make the wanted shards; returns how many of them were there before with all scenes."""
+        whole = {record.shard for record in there if not record.failures}
+        for shard in whole:
+            store.running_path(self.root, shard).unlink(missing_ok=True)
+        self.waiting.extend(Task(shard) for shard in wanted if shard not in whole)
+        kept = len(wanted) - len(self.waiting)
+        if not self.waiting:
+            return kept
+        store.forget_complete(self.root)
+        store.write_card(self.root, self.manifest, there)
+        self.finished = sum(len(self.schema.scenes_of(shard)) for shard in wanted if shard in whole)
+        self.progress.begin(sum(len(self.schema.scenes_of(shard)) for shard in wanted), self.finished)
+        if kept:
+            self.progress.say(f"{kept} of {len(wanted)} shards are there already")
+        # In a committed shard only the failed scenes are made, so there is little to divide.
+        self.undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
+        try:
+            while self.waiting or self.running:
+                while self.waiting and len(self.running) < self.engine.capacity:
+                    self._hand_out(self.waiting.popleft())
+                done, _ = wait(self.running, timeout=TICK_S, return_when=FIRST_COMPLETED)
+                self._show()
+                for future in done:
+                    self._take_in(future)
+            self.progress.update(self.finished, (), self.failed)
+        except BaseException:
+            # The writers must be gone before their files are removed.
+            self.engine.close(kill=True)
+            for shard in self.begun:
+                self._clear(shard)
+            raise
+        return kept
+
+    def _hand_out(self, task: Task) -> None:
+        """Submit a job. A shard is divided first where workers would be idle otherwise."""
+        shard = task.shard
+        if shard not in self.undivided and len(self.waiting) < self.engine.capacity > 1:
+            self.undivided.add(shard)
+            self.started[shard] = time.time()
+            task, *others = (Task(shard, scene) for scene in self.schema.scenes_of(shard))
+            self.waiting.extendleft(reversed(others))
+        self.begun.add(shard)
+        job = ShardJob(
+            self.root.resolve(), self.config, self.schema, self.manifest.fingerprint, shard, self.sample_function,
+            submitted=time.time(), known=self.known.get(shard, {}) if task.scene is None else {},
+            started=self.started.get(shard), made_with=None if self.accept_mixed else made_with(),
+            scene_seconds=self.scene_seconds,
+        )  # fmt: skip
+        call = (run_shard, job) if task.scene is None else (make_scene, job, task.scene)
+        self.running[self.engine.submit(*call)] = task
+
+    def _take_in(self, future: Future[Any]) -> None:
+        """Take the result of a job in; a job that was cancelled or whose worker died is put back."""
+        task = self.running.pop(future)
+        if future.cancelled():
+            self.engine.restore(self.progress.say)
+            self._clear(task.shard)
+            self.waiting.appendleft(task)
+        elif isinstance(future.exception(), self.engine.deaths):
+            self._after_death(task, future.exception())
+        elif task.scene is None:
+            self._take_shard(task.shard, future.result())
+        else:
+            self._take_scene(task.shard, task.scene, future.result())
+
+    def _take_scene(self, shard: int, scene: int, outcome: bytes | str) -> None:
+        """One scene of a divided shard is made, or given up. After the last one the shard can be written."""
+        self.deaths[-1] = 0
+        known = self.known.setdefault(shard, {})
+        known[scene] = outcome
+        if len(known) == len(self.schema.scenes_of(shard)):
+            self.waiting.appendleft(Task(shard))
+
+    def _take_shard(self, shard: int, failures: dict[int, str]) -> None:
+        """A shard is committed. Raises `CheckError` if no scene of the build could be made so far."""
+        self.deaths[-1] = 0
+        for record in store.committed(self.root, self.manifest, [shard]) if self.output.bucket else ():
+            self.output.put_shard(record)
+        self.known.pop(shard, None)
+        self.begun.discard(shard)
+        size = len(self.schema.scenes_of(shard))
+        self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(failures)
+        if self.failed == self.made >= min(HOPELESS, self.schema.scenes):
+            scene, reason = min(failures.items())
+            stops = f"all of the first {self.made} scenes failed, so the build stops"
+            raise CheckError(f"{stops}; scene {scene}: {reason}")
+
+    def _after_death(self, task: Task, error: BaseException | None) -> None:
+        """Put the job of a dead worker back, unless its scene is given up. Raises `CheckError` if workers cannot even
+        begin."""
+        shard, scene = task.shard, task.scene
+        if scene is None:
+            # The worker wrote which scene it began last, and nothing since.
+            running = store.running_path(self.root, shard)
+            scene = next(reversed(scenes_begun(self.root, shard)), None)
+            seconds = None if scene is None else time.time() - running.stat().st_mtime
+            self._clear(shard)
+        else:
+            seconds = error.seconds if isinstance(error, WorkerDied) else None
+        if scene is None or seconds is None:
+            self.deaths[-1] += 1
+            if self.deaths[-1] > DEATHS_ALLOWED:
+                raise CheckError(
+                    "worker processes die before their first scene; in a script, call build under "
+                    'if __name__ == "__main__": and see the messages above'
+                )
+            self.waiting.appendleft(task)
+            return
+        self.deaths[scene] += 1
+        why = ""
+        if self.scene_seconds is not None and seconds > self.scene_seconds:
+            # No exception could reach the scene, so its worker ended itself.
+            why = overtime(self.scene_seconds)
+        elif self.deaths[scene] >= DEATHS_ALLOWED:
+            why = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
+        if why and task.scene is not None:
+            self._take_scene(shard, scene, why)
+            return
+        if why:
+            self.known.setdefault(shard, {})[scene] = why
+        self.waiting.appendleft(task)
+
+    def _show(self) -> None:
+        """Show how many scenes are made, and which ones are in work."""
+        ahead, in_work = {shard: len(known) for shard, known in self.known.items()}, list[int]()
+        for task in self.running.values():
+            if task.scene is not None:
+                in_work.append(task.scene)
+            elif begun := scenes_begun(self.root, task.shard):
+                ahead[task.shard] = max(ahead.get(task.shard, 0), len(begun) - 1)
+                in_work.append(begun[-1])
+        self.progress.update(self.finished + sum(ahead.values()), in_work, self.failed)
+
+    def _clear(self, shard: int) -> None:
+        """Remove the files of an unfinished shard, unless it was committed at the last moment."""
+        if store.committed(self.root, self.manifest, [shard]):
+            store.running_path(self.root, shard).unlink(missing_ok=True)
+        else:
+            abandon_shard(self.root, self.schema, shard)
