@@ -73,6 +73,9 @@ def pieces_of(
             f"flux of {total:g} per cycle, dead time {dead_time_s:g} s on {len(flux)} bins of {width_s:g} s: "
             f"needs {count.sum():g} pieces, at most {_MOST_PIECES}; lower photons_per_pulse or widen the bins"
         )
+    if count.max() == 1.0:
+        # Kernels would be compiled once more for edges that are read-only, as those of a `Cycle` are.
+        return Pieces(np.ascontiguousarray(flux), np.arange(len(flux)), edges_s.copy(), dead_time_s)
     whole = count.astype(np.int64)
     bin_of = np.repeat(np.arange(len(flux)), whole)
     return Pieces((flux / whole)[bin_of], bin_of, cut_edges(edges_s, whole), dead_time_s)

@@ -230,9 +230,9 @@ class Fold:
 
 def cut_edges(edges_s: Floats, parts: Ints) -> Floats:
     """(m + 1,) edges of bins with edges (n + 1,) once bin i is cut into `parts[i]` equal bins."""
-    number = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
-    starts = np.repeat(edges_s[:-1], parts) + number * np.repeat(np.diff(edges_s) / parts, parts)
-    return np.append(starts, edges_s[-1])
+    bin_of = np.repeat(np.arange(len(parts)), parts)
+    number = np.arange(len(bin_of)) - (np.cumsum(parts) - parts)[bin_of]
+    return np.append(edges_s[bin_of] + number * (np.diff(edges_s) / parts)[bin_of], edges_s[-1])
 
 
 def on_lattice(values: NDArray[N], back: int, front: int) -> NDArray[N]:
