@@ -27,12 +27,14 @@ from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_evidence, presence_parameters, presence_table
-from datagen.labels import LABEL_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels import MADE_HERE, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
+from datagen.labels.triangles import open3d_for_labels
 from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
+from datagen.records.label_fields import LABEL_FIELDS
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.scene import check_scene_config, meshes_named
 from datagen.seeding import Purpose, derived_seed
@@ -119,7 +121,7 @@ def sample_of(
                     light.scene, capture, light.accuracy, used, conditions, seed=light.seed, transient=transient
                 )
     with _timed(seconds, "labels"):
-        wanted = [field for field in config.store.fields if field in LABEL_FIELDS]
+        wanted = [field for field in config.store.fields if field in MADE_HERE]
         capacity = config.scene.most_objects()
         labels = make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
         if "objects" in wanted:
@@ -165,10 +167,13 @@ into large rooms on purpose are warned of, too."""
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
+    detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
     of meshes, parts in one place, and zones whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
+    if any((of.is_image or of.is_volume) and of.label in config.store.fields for of in LABEL_FIELDS):
+        # Labels come last in a scene: without this the light of all scenes would be made in vain.
+        open3d_for_labels()
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
     tried = [_tried(config, index) for index in range(min(config.scenes, most))]
     capture = tried[0][1]
@@ -188,7 +193,7 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
             "the key out for a pillar and a box"
         )
-    volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
+    volumes = [of.name for of in LABEL_FIELDS if of.is_volume and of.label in config.store.fields]
     meshes = list(meshes_named(config.scene))
     for where, _, doubt in meshes:
         if doubt:

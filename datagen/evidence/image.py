@@ -32,8 +32,8 @@ from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time
 
 SCAN_PAIRS = 16
-"""Number of pairs of laser point and pixel that stand for a scan. With half as many the image takes half the time,
-and shadows that move over the scan have half as many steps."""
+"""Number of pairs of laser point and pixel that stand for a scan. More take more time, and
+give finer steps to shadows that move over the scan."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _representatives(points: Floats, most: int) -> tuple[Ints, Floats]:
 
 GRAZING = 0.02
 """Least cosine between view and surface by which the area of a label pixel is divided: on a steeper surface one pixel
-would cover metres. Halved, steep surfaces get up to twice the detections."""
+would cover metres."""
 
 
 def evidence_image(

@@ -15,8 +15,9 @@ from datagen.errors import InputError
 from datagen.evidence.image import ScanPairs
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
+from datagen.records.label_fields import names_made_by
 
-OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
+OBJECT_EVIDENCE = names_made_by("evidence.own")
 """Names of the stored tables of evidence, which have a row for each object."""
 
 
