@@ -32,10 +32,10 @@ SAMPLES, FOV_SAMPLES = 1024, 16
 """Hidden vertices and points of a footprint if the accuracy states a target instead. Light of one bounce is exact
 with any number; two and three bounces are far fainter."""
 LINES_ALONG = 9
-"""Lines of sight along each side of a pixel that search for objects in it; rays to their triangles find smaller ones."""
+"""Lines of sight along each side of a pixel that search for objects in it; rays to triangles find smaller ones."""
 MOST_RAYS = 4096
-"""Most triangles of an object to whose middles the sensor sends a ray: an object of more that shows only a few of them
-may be missed."""
+"""Most triangles of an object to whose middles the sensor sends a ray: an object of more that shows only a few of
+them may be missed."""
 
 
 def light_in_sight(

@@ -45,7 +45,7 @@ def own_evidence(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *,
     in_sight: Mapping[str, Floats] | None = None,
 ) -> dict[str, Evidence]:  # fmt: skip
-    """Part name → evidence of the part's own light, that of three bounces by way of it, in a detector.
+    """Part name → evidence of the part's own light, that of three bounces with the second on it, in a detector.
 
     Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of all
     light, after gate, dead time and jitter. Detections of several parts add up.
