@@ -24,7 +24,7 @@ def check(outcome: harm.Outcome, harms: int) -> None:
 
 @pytest.mark.parametrize("mending", [False, True], ids=["a build", "mending"])
 @pytest.mark.parametrize(
-    "steps", [range(10, 330, 80), pytest.param(range(800), marks=pytest.mark.nightly)], ids=["some", "every step"]
+    "steps", [range(10, 491, 80), pytest.param(range(800), marks=pytest.mark.nightly)], ids=["some", "every step"]
 )
 def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, steps: range, mending: bool) -> None:
     outcome = harm.kills_between_steps(iter(steps), tmp_path, mending)
