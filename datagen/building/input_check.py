@@ -37,8 +37,8 @@ look into large rooms on purpose."""
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
-    of meshes, and zones whose light arrives after the time axis ends.
+    detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes
+    with holes, bent faces of meshes, and zones whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
     if any((of.is_image or of.is_volume) and of.label in config.store.fields for of in LABEL_FIELDS):

@@ -81,7 +81,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _front_matter(dataset: Description) -> str:
     """The YAML header for the Hugging Face Hub. It names the table, whose rows the Hub's viewer shows."""
     manifest = dataset.manifest
-    scenes, terms = manifest.schema.scenes, manifest.config.get("license", "")
+    scenes, terms = manifest.schema.scenes, manifest.config["license"]
     size = next((name for most, name in _SIZES if scenes < most), "n>1M")
     tags = [*_TAGS] if manifest.imported else [*_TAGS, "synthetic"]
     named = {"pretty_name": manifest.config["name"], "size_categories": [size], "tags": tags}
@@ -164,7 +164,7 @@ def _provenance(dataset: Description) -> list[str]:
         *(_imported(manifest) or [f"seed {manifest.seed}; each scene depends on (seed, scene index) only"]),
         f"configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
-        f"licence: {manifest.config.get('license') or 'none stated, so all rights are reserved'}",
+        f"licence: {manifest.config['license'] or 'none stated, so all rights are reserved'}",
         f"code: commit {made_by['commit']}",
         f"versions: {versions}",
         f"begun on: {made_by['processor']}, {made_by['system']}",

@@ -18,7 +18,7 @@ from datagen.store.location import Location
 from datagen.store.manifest import Manifest
 from datagen.store.record import ShardRecord
 from datagen.store.schema import FORMAT, Field
-from datagen.store.table import COLUMNS, TABLE, parquet_schema
+from datagen.store.table import COLUMNS, TABLE, parquet_file
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
 """The licence of a dataset whose configuration names none: all rights are reserved."""
@@ -67,7 +67,7 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
     """
     config, fields = manifest.config, manifest.schema.fields
     made = datetime.datetime.fromtimestamp(max(record.finished for record in records), datetime.UTC)
-    terms = config.get("license") or NO_LICENSE
+    terms = config["license"] or NO_LICENSE
     what = "Imported" if manifest.imported else "Simulated"
     name = config["name"]
     made_by = (
@@ -123,7 +123,7 @@ def _shards(field: Field) -> dict[str, Any]:
 
 def _scenes(root: Location) -> dict[str, Any]:
     with (root / TABLE).open("rb") as file:
-        described = parquet_schema(file)
+        described = parquet_file(file).schema_arrow
     columns = [
         {
             "@type": "cr:Field", "@id": f"scenes/{column.name}", "name": column.name,

@@ -23,7 +23,7 @@ from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
 from datagen.store.environment import STATED, made_with
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.location import Location, location_of
-from datagen.store.record import Digest, Finite, recorded_shards
+from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import FORMAT, Field, Schema, check_size, schema_of
 from datagen.store.stats import FieldStats
 from datagen.store.table import COLUMNS, TABLE
@@ -87,18 +87,10 @@ class Manifest:
 
     @property
     def imported(self) -> tuple[ImportedFile, ...]:
-        """The files that the captures were imported from; empty if they were simulated.
-
-        Raises `InputError` for values that an import does not write.
-        """
-        scene = self.config.get("scene")
-        layout = scene.get("layout") if isinstance(scene, dict) else None
-        if not isinstance(layout, dict) or layout.get("kind") != "imported":
-            return ()
-        try:
-            return ImportedCaptures.model_validate_json(json.dumps(layout)).files
-        except pydantic.ValidationError as error:
-            raise InputError(f"{MANIFEST}: scene.layout: {' '.join(str(error).split())}") from None
+        """The files that the captures were imported from; empty if they were simulated."""
+        layout = self.config["scene"]["layout"]
+        is_imported = layout.get("kind") == "imported"
+        return ImportedCaptures.model_validate_json(json.dumps(layout)).files if is_imported else ()
 
     def parsed_config(self, meshes: bool = True) -> DatasetConfig:
         """The configuration as models. The version of datagen that made the dataset makes its scenes again from it.
@@ -141,11 +133,8 @@ class Manifest:
                 raise InputError(f"{named}: {item.place} has changed (SHA-256 {now}); {remedy}")
 
     def splits(self) -> SplitsConfig:
-        """The division into splits. Raises `InputError` for settings that datagen does not write."""
-        try:
-            return SplitsConfig.model_validate_json(json.dumps(self.config["splits"]))
-        except pydantic.ValidationError as error:
-            raise InputError(f"{MANIFEST}: splits: {' '.join(str(error).split())}; {REMEDY}") from None
+        """The division into splits."""
+        return SplitsConfig.model_validate_json(json.dumps(self.config["splits"]))
 
     def to_bytes(self) -> bytes:
         """The content of `dataset.json`."""
@@ -210,7 +199,12 @@ def read_manifest(root: str | Location) -> Manifest:
             f"{path}: format = {number}, this datagen reads format {FORMAT}; use the version of datagen that made it"
         )
     try:
-        return _manifest_of(parsed(path, content, _File), stated)
+        manifest = _manifest_of(parsed(path, content, _File), stated)
+        # What these hold is checked by parsing it.
+        manifest.splits(), manifest.imported, manifest.time
+        return manifest
+    except pydantic.ValidationError as error:
+        raise DamagedManifest(f"{path}: damaged: {' '.join(str(error).split())}; {REMEDY}") from None
     except InputError as error:
         raise DamagedManifest(f"{path}: damaged: {str(error).removeprefix(f'{path}: ')}; {REMEDY}") from None
 
@@ -233,15 +227,8 @@ class _FieldRow:
 
 
 @dataclass(frozen=True)
-class _Time:
-    origin: Literal["source", "wall"]
-    start_ns: Finite
-    bin_width_ps: Finite
-
-
-@dataclass(frozen=True)
 class _Capture:
-    time: _Time
+    time: dict[str, Any]
     pairing: Literal["exhaustive", "confocal"]
 
 
@@ -251,16 +238,22 @@ class _Detector:
 
 
 @dataclass(frozen=True)
+class _Scene:
+    layout: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class _Config:
     """The keys of a stored configuration that are read without parsing all of it."""
 
     name: str
     description: str
     seed: Annotated[int, pydantic.Field(ge=0, lt=2**63)]
+    scene: _Scene
     capture: _Capture
     detector: _Detector
     splits: dict[str, Any]
-    license: str = ""
+    license: str
 
 
 @dataclass(frozen=True)

@@ -106,23 +106,15 @@ def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str |
     return splits_of([None if no else row for no, row in zip(failed, kept, strict=True)], splits)
 
 
-def parquet_schema(stored: IO[bytes]) -> pa.Schema:
-    """Names and types of the columns of a Parquet file. Raises `pa.ArrowException` for a damaged file."""
-    return _opened(stored).schema_arrow
-
-
-def parquet_rows(stored: IO[bytes]) -> pa.Table:
-    """All rows of a Parquet file. Raises `pa.ArrowException` for a damaged file."""
-    return _rows(_opened(stored), None)
-
-
-def _opened(stored: IO[bytes]) -> pq.ParquetFile:
-    # Without `pre_buffer=False` here and `use_threads=False` in `_rows`, two threads of Arrow stay behind. At the end
-    # of the process one of them may still free a buffer, for which it needs Python's lock: the process aborts.
+def parquet_file(stored: IO[bytes]) -> pq.ParquetFile:
+    """A Parquet file to be read. Raises `pa.ArrowException` for a damaged file."""
+    # Without `pre_buffer=False` here and `use_threads=False` in `rows_of`, two threads of Arrow stay behind. At the
+    # end of the process one of them may free a buffer, for which it needs Python's lock: the process aborts.
     return pq.ParquetFile(stored, pre_buffer=False)
 
 
-def _rows(file: pq.ParquetFile, columns: Sequence[str] | None) -> pa.Table:
+def rows_of(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> pa.Table:
+    """All rows of some columns (None: of all). Raises `pa.ArrowException` for a damaged file."""
     return file.read(columns, use_threads=False)
 
 
@@ -147,14 +139,14 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
                 raise CheckError(
                     f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
                 )
-            file = _opened(stored)
+            file = parquet_file(stored)
             if file.metadata.num_rows != scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names
             for name in columns or ():
                 if name not in known:
                     raise InputError(f"parameters: {name!r} is no column of {path}; it has {', '.join(known)}")
-            return _rows(file, columns)
+            return rows_of(file, columns)
     except (pa.ArrowException, OSError) as error:
         raise CheckError(f"{path}: cannot be read ({' '.join(str(error).split())}); {remedy}") from None
 

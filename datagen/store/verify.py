@@ -20,7 +20,7 @@ from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards, sound_records
-from datagen.store.table import CROISSANT, TABLE, parquet_rows, stats_by_split, table_bytes, table_of
+from datagen.store.table import CROISSANT, TABLE, parquet_file, rows_of, stats_by_split, table_bytes, table_of
 
 
 def committed(
@@ -166,7 +166,7 @@ def _summary_problems(root: Location, manifest: Manifest, records: Sequence[Shar
 def _has_rows_of(path: Location, table: pa.Table) -> bool:
     try:
         with path.open("rb") as file:
-            stored = parquet_rows(file).replace_schema_metadata(table.schema.metadata)
+            stored = rows_of(parquet_file(file)).replace_schema_metadata(table.schema.metadata)
         return table_bytes(stored) == table_bytes(table)
     except (pa.ArrowException, OSError, ValueError):
         return False

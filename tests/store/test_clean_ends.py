@@ -13,7 +13,7 @@ SCRIPT = """
 import os, sys
 import datagen as dg
 from datagen.store import verify
-from datagen.store.table import parquet_rows, parquet_schema
+from datagen.store.table import parquet_file, rows_of
 
 def threads():
     return set(os.listdir("/proc/self/task")) if os.path.isdir("/proc") else set()
@@ -23,7 +23,7 @@ before, folder = threads(), sys.argv[1]
 data = dg.TransientDataset(folder, ("histogram", "transient"), split="train")
 assert not verify(folder).problems
 with open(folder + "/samples.parquet", "rb") as file:
-    parquet_schema(file), parquet_rows(file)
+    rows_of(parquet_file(file))
 for sample in data:
     sample["histogram"].sum() + sample["transient"].sum()
 # Last, so that threads of it would still be at work when the interpreter ends.
