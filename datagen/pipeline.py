@@ -24,7 +24,7 @@ from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_against, presence_parameters, presence_table
-from datagen.labels import LABEL_FIELDS, make_labels
+from datagen.labels import MADE_HERE, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
@@ -211,7 +211,7 @@ def labels_of(
             presence = {name: compared.get(name, PRESENCE_UNKNOWN) for name in scene.objects}
         arrays["object_presence"] = presence_table(tuple(presence.values()), capacity)
     with timed("labels"):
-        wanted = [name for name in fields if name in LABEL_FIELDS]
+        wanted = [name for name in fields if name in MADE_HERE]
         arrays |= make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
         if "objects" in wanted:
             arrays |= evidence_tables(tuple(evidence.values()), capacity)

@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 
 import datagen
 from datagen.config.base import Settings
+from datagen.records.label_fields import LABEL_FIELDS
 
 PAGE = Path(__file__).with_name("api.md")
 STAGES = (
@@ -51,6 +52,13 @@ Every public name of `datagen` (`import datagen as dg`), in the order of the sta
 configuration models. Lengths are in metres, times in seconds, and arrays have the axes laser (L), pixel (P) and bin
 (T). Bad input raises `InputError` with one line that names key, value, allowed range and remedy.
 """
+LABELS = """\
+## Labels
+
+The arrays of ground truth for each name in `store.fields`: axes of one scene, type, unit, meaning.
+
+| `store.fields` | array | axes | type | unit | meaning |
+|---|---|---|---|---|---|"""
 KEYS = """\
 ## Configuration keys
 
@@ -86,7 +94,16 @@ def page() -> str:
     if named:
         raise SystemExit(f"docs/make_api.py: {', '.join(named)} belong to none of the stages {', '.join(STAGES)}")
     places = _places()
-    return "\n".join([*contents, "", *sections, KEYS, *(_keys(model, places) for model in places)])
+    return "\n".join([*contents, "", *sections, _labels(), KEYS, *(_keys(model, places) for model in places)])
+
+
+def _labels() -> str:
+    """The section of the arrays of labels."""
+    rows = [
+        f"| `{of.label}` | `{of.name}` | {', '.join(of.dims)} | {of.dtype} | {of.unit} | {of.meaning} |"
+        for of in LABEL_FIELDS
+    ]
+    return "\n".join([LABELS, *rows, ""])
 
 
 def _places() -> dict[type[Settings], str]:

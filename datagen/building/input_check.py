@@ -15,9 +15,10 @@ from datagen.design.scene_for import scene_for
 from datagen.detector import choose_sampler, detector_for
 from datagen.devices import share_of_late_zones
 from datagen.errors import InputError, InputWarning
-from datagen.labels import VOLUME_FIELDS
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
+from datagen.labels.triangles import open3d_for_labels
 from datagen.records import Capture, Scene
+from datagen.records.label_fields import LABEL_FIELDS
 from datagen.scene import check_scene_config, meshes_named
 from datagen.transport.visibility.coincidence import set_apart
 from datagen.units import path_from_time
@@ -36,10 +37,13 @@ look into large rooms on purpose."""
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
+    detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes with holes, bent faces
     of meshes, and zones whose light arrives after the time axis ends.
     """
     check_scene_config(config.scene)
+    if any((of.is_image or of.is_volume) and of.label in config.store.fields for of in LABEL_FIELDS):
+        # Labels come last in a scene: without this the light of all scenes would be made in vain.
+        open3d_for_labels()
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
     tried = [_tried(config, index) for index in range(min(config.scenes, most))]
     capture = tried[0][1]
@@ -59,7 +63,7 @@ def _most_likely_not_meant(config: DatasetConfig) -> Iterator[str]:
             "scene.contents: no scene has an object, so nothing is hidden and labels are empty; list some, or leave "
             "the key out for a pillar and a box"
         )
-    volumes = [name for name in config.store.fields if name in VOLUME_FIELDS]
+    volumes = [of.name for of in LABEL_FIELDS if of.is_volume and of.label in config.store.fields]
     meshes = list(meshes_named(config.scene))
     for where, _, doubt in meshes:
         if doubt:

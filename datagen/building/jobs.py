@@ -1,9 +1,9 @@
 """The loop of a build: it hands jobs to the workers, takes their results in, and does again what a dead worker left.
 
-A job makes one shard, or one scene of a shard. Most shards are made by one worker each. Where workers would be idle,
-because fewer shards than workers are left, a shard is divided: each of its scenes is a job, whose sample comes back
-here, and a last job gets all the samples and writes the shard. `Jobs.known` has what is known of scenes before their
-shard is written: such samples, and why a scene is not tried again.
+A shard is divided into its scenes, each a job of its own. So a shard employs all workers, and a worker that dies
+costs one scene. Samples come back here, pickled, and wait in `Jobs.known`; with the last one a further job gets all
+of them and writes the shard. In a cluster, where all samples would pass through the scheduler, a job makes a whole
+shard and writes it; only a shard whose worker died is divided.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, WorkerDied
 from datagen.building.progress import Progress
-from datagen.building.shard_job import ShardJob, abandon_shard, make_scene, overtime, run_shard, scenes_begun
+from datagen.building.shard_job import ShardJob, abandon_shard, make_scene, overtime, run_shard
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError
 from datagen.records import Sample
@@ -53,11 +53,12 @@ class Jobs:
     running : future → what its job makes.
     begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was
         submitted and before its future is in `running`; the shard is in this set by then.
-    undivided : shards that are not to be divided, or are divided already.
-    known : shard → scene → pickled sample, or why there is none, of shards that are not committed.
+    retried : committed shard → its scenes that failed, which alone are made.
+    known : divided shard → scene → pickled sample, or why there is none.
     started : divided shard → Unix time at which its first scene was handed out.
     finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
-    deaths : scene → workers that died while they made it; −1 → workers in a row that died before any scene.
+    deaths : scene → workers that died while they made it.
+    deaths_between : workers in a row that died otherwise.
     """
 
     config: DatasetConfig
@@ -71,13 +72,14 @@ class Jobs:
     waiting: deque[Task] = field(default_factory=deque)
     running: dict[Future[Any], Task] = field(default_factory=dict)
     begun: set[int] = field(default_factory=set)
-    undivided: set[int] = field(default_factory=set)
+    retried: dict[int, list[int]] = field(default_factory=dict)
     known: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
     started: dict[int, float] = field(default_factory=dict)
     finished: int = 0
     made: int = 0
     failed: int = 0
     deaths: Counter[int] = field(default_factory=Counter)
+    deaths_between: int = 0
 
     @property
     def root(self) -> Path:
@@ -102,12 +104,11 @@ class Jobs:
         self.progress.begin(sum(len(self.schema.scenes_of(shard)) for shard in wanted), self.finished)
         if kept:
             self.progress.say(f"{kept} of {len(wanted)} shards are there already")
-        # In a committed shard only the failed scenes are made, so there is little to divide.
-        self.undivided = {record.shard for record in there} if self.engine.shares_shards else set(wanted)
+        self.retried = {record.shard: sorted(record.failures) for record in there if record.failures}
         try:
             while self.waiting or self.running:
                 while self.waiting and len(self.running) < self.engine.capacity:
-                    self._hand_out(self.waiting.popleft())
+                    self._hand_out()
                 done, _ = wait(self.running, timeout=TICK_S, return_when=FIRST_COMPLETED)
                 self._show()
                 for future in done:
@@ -121,14 +122,22 @@ class Jobs:
             raise
         return kept
 
-    def _hand_out(self, task: Task) -> None:
-        """Submit a job. A shard is divided first where workers would be idle otherwise."""
+    def _scenes(self, shard: int) -> Sequence[int]:
+        """The scenes that are made before a shard is written."""
+        return self.retried.get(shard) or self.schema.scenes_of(shard)
+
+    def _divide(self, shard: int) -> None:
+        """Let the scenes of a shard be the next jobs."""
+        self.known[shard], self.started[shard] = {}, time.time()
+        self.waiting.extendleft(Task(shard, scene) for scene in reversed(self._scenes(shard)))
+
+    def _hand_out(self) -> None:
+        """Submit the next job."""
+        task = self.waiting.popleft()
+        if task.scene is None and task.shard not in self.known and self.engine.shares_shards:
+            self._divide(task.shard)
+            task = self.waiting.popleft()
         shard = task.shard
-        if shard not in self.undivided and len(self.waiting) < self.engine.capacity > 1:
-            self.undivided.add(shard)
-            self.started[shard] = time.time()
-            task, *others = (Task(shard, scene) for scene in self.schema.scenes_of(shard))
-            self.waiting.extendleft(reversed(others))
         self.begun.add(shard)
         job = ShardJob(
             self.root.resolve(), self.config, self.schema, self.manifest.fingerprint, shard, self.sample_function,
@@ -154,16 +163,15 @@ class Jobs:
             self._take_scene(task.shard, task.scene, future.result())
 
     def _take_scene(self, shard: int, scene: int, outcome: bytes | str) -> None:
-        """One scene of a divided shard is made, or given up. After the last one the shard can be written."""
-        self.deaths[-1] = 0
-        known = self.known.setdefault(shard, {})
-        known[scene] = outcome
-        if len(known) == len(self.schema.scenes_of(shard)):
+        """A scene is made, or given up. After the last one of a shard the shard can be written."""
+        self.deaths_between = 0
+        self.known[shard][scene] = outcome
+        if len(self.known[shard]) == len(self._scenes(shard)):
             self.waiting.appendleft(Task(shard))
 
     def _take_shard(self, shard: int, failures: dict[int, str]) -> None:
         """A shard is committed. Raises `CheckError` if no scene of the build could be made so far."""
-        self.deaths[-1] = 0
+        self.deaths_between = 0
         for record in store.committed(self.root, self.manifest, [shard]) if self.output.bucket else ():
             self.output.put_shard(record)
         self.known.pop(shard, None)
@@ -176,50 +184,38 @@ class Jobs:
             raise CheckError(f"{stops}; scene {scene}: {reason}")
 
     def _after_death(self, task: Task, error: BaseException | None) -> None:
-        """Put the job of a dead worker back, unless its scene is given up. Raises `CheckError` if workers cannot even
-        begin."""
-        shard, scene = task.shard, task.scene
-        if scene is None:
-            # The worker wrote which scene it began last, and nothing since.
-            running = store.running_path(self.root, shard)
-            scene = next(reversed(scenes_begun(self.root, shard)), None)
-            seconds = None if scene is None else time.time() - running.stat().st_mtime
-            self._clear(shard)
-        else:
-            seconds = error.seconds if isinstance(error, WorkerDied) else None
-        if scene is None or seconds is None:
-            self.deaths[-1] += 1
-            if self.deaths[-1] > DEATHS_ALLOWED:
+        """Put the job of a dead worker back, unless its scene is given up. Raises `CheckError` if workers keep dying
+        without making a scene."""
+        if task.scene is None:
+            self._clear(task.shard)
+            if task.shard not in self.known:
+                # Which scene was the cause shows when they are made one by one.
+                self._divide(task.shard)
+                return
+        seconds = error.seconds if isinstance(error, WorkerDied) else 0.0
+        if task.scene is None or seconds is None:
+            self.deaths_between += 1
+            if self.deaths_between > DEATHS_ALLOWED:
                 raise CheckError(
-                    "worker processes die before their first scene; in a script, call build under "
-                    'if __name__ == "__main__": and see the messages above'
+                    "worker processes die before their first scene, or as they write a shard; in a script, call "
+                    'build under if __name__ == "__main__": and see the messages above'
                 )
             self.waiting.appendleft(task)
             return
-        self.deaths[scene] += 1
-        why = ""
+        self.deaths[task.scene] += 1
         if self.scene_seconds is not None and seconds > self.scene_seconds:
             # No exception could reach the scene, so its worker ended itself.
-            why = overtime(self.scene_seconds)
-        elif self.deaths[scene] >= DEATHS_ALLOWED:
+            self._take_scene(task.shard, task.scene, overtime(self.scene_seconds))
+        elif self.deaths[task.scene] >= DEATHS_ALLOWED:
             why = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
-        if why and task.scene is not None:
-            self._take_scene(shard, scene, why)
-            return
-        if why:
-            self.known.setdefault(shard, {})[scene] = why
-        self.waiting.appendleft(task)
+            self._take_scene(task.shard, task.scene, why)
+        else:
+            self.waiting.appendleft(task)
 
     def _show(self) -> None:
         """Show how many scenes are made, and which ones are in work."""
-        ahead, in_work = {shard: len(known) for shard, known in self.known.items()}, list[int]()
-        for task in self.running.values():
-            if task.scene is not None:
-                in_work.append(task.scene)
-            elif begun := scenes_begun(self.root, task.shard):
-                ahead[task.shard] = max(ahead.get(task.shard, 0), len(begun) - 1)
-                in_work.append(begun[-1])
-        self.progress.update(self.finished + sum(ahead.values()), in_work, self.failed)
+        in_work = [task.scene for task in self.running.values() if task.scene is not None]
+        self.progress.update(self.finished + sum(map(len, self.known.values())), in_work, self.failed)
 
     def _clear(self, shard: int) -> None:
         """Remove the files of an unfinished shard, unless it was committed at the last moment."""

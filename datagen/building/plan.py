@@ -62,7 +62,8 @@ class Plan:
     error : relative L2 error of a transient that the simulation claims; NaN if nothing estimates it.
     evidence : significance of the objects, by kind.
     build_s : wall-clock seconds of the whole build on idle cores, without the start of the workers.
-    build_bytes : bytes of all scenes on disk. shard_memory_bytes : memory of the shard that a worker fills.
+    build_bytes : bytes of all scenes on disk. shard_memory_bytes : memory of a shard, which the worker that
+        writes it needs.
     """
 
     pilots: Pilots

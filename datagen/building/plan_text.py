@@ -105,7 +105,7 @@ def _whole_build(found: Plan) -> Iterator[str]:
     idle = found.workers - found.scenes
     unused = f"; {idle} of {found.workers} workers would have nothing to do" if idle > 0 else ""
     yield f"  shards     {found.shards} of {found.scenes_per_shard} scenes{unused}"
-    yield f"  memory     {readable(found.shard_memory_bytes)} for each worker's shard"
+    yield f"  memory     {readable(found.shard_memory_bytes)} for a shard, in the worker that writes it"
 
 
 def _fields(config: DatasetConfig, found: Plan) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The jobs of a worker: make, write and commit a shard; or make one scene of a shard that several workers share."""
+"""The jobs of a worker: make one scene, or write and commit a shard, with scenes that are made already or here."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class ShardJob:
 
     root : the dataset's folder.
     submitted : Unix time at which the job was submitted.
-    known : scene → what `make_scene` returned for it in another worker, or why it is not to be tried.
+    known : scene → what `make_scene` returned for it, or why it is given up; other scenes the job makes itself.
     started : Unix time at which the first of the known scenes was begun; None if there are none.
     made_with : the environment of the other shards; None if any mixture is accepted.
     scene_seconds : time limit of a scene; None: no limit.
@@ -65,6 +65,7 @@ class ShardJob:
 
 def make_scene(job: ShardJob, index: int) -> bytes | str:
     """One scene of a shard as a pickled sample, or one line on why there is none."""
+    _check_environment(job)
     sample = _attempt(job, index)
     try:
         return sample if isinstance(sample, str) else pickle.dumps(sample)
@@ -73,21 +74,19 @@ def make_scene(job: ShardJob, index: int) -> bytes | str:
 
 
 def run_shard(job: ShardJob) -> dict[int, str]:
-    """Make one shard and commit it; returns scene → reason, of the scenes that failed.
+    """Make the scenes of a shard that are not known, and commit it; returns scene → reason for those that failed.
 
-    In a shard that is committed already only the failed scenes are tried again. Raises `CheckError` if the
-    environment of this worker may give other bytes than that of the other shards.
+    In a shard that is committed already only the failed scenes are tried again.
     """
     path = running_path(job.root, job.shard)
-    with _sole_writer(path, LOCK_PATIENCE_S) as running:
-        differing = mixed([job.made_with, made_with()]) if job.made_with is not None else []
-        if differing:
-            raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
+    _check_environment(job)
+    with _sole_writer(path, LOCK_PATIENCE_S):
         record = _committed(job)
         # A record that is newer than the job was committed by another build, or by this job before its result got
         # lost.
         if record is None or (record.failures and record.finished <= job.submitted):
-            samples = _samples(job, running) if record is None else _with_failed_retried(job, record, running)
+            scenes = job.schema.scenes_of(job.shard)
+            samples = _samples(job, scenes) if record is None else _with_failed_retried(job, record)
             made_by = made_with() if record is None else joined(record.made_by, made_with())
             if samples is not None:
                 where = (job.root, job.schema, job.shard, job.fingerprint)
@@ -95,6 +94,13 @@ def run_shard(job: ShardJob) -> dict[int, str]:
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
+
+
+def _check_environment(job: ShardJob) -> None:
+    """Raise `CheckError` if the environment of this worker may give other bytes than that of the other shards."""
+    differing = mixed([job.made_with, made_with()]) if job.made_with is not None else []
+    if differing:
+        raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
 
 
 def _committed(job: ShardJob) -> ShardRecord | None:
@@ -106,10 +112,10 @@ def _committed(job: ShardJob) -> ShardRecord | None:
     return None
 
 
-def _with_failed_retried(job: ShardJob, record: ShardRecord, running: int) -> list[tuple[int, Sample | str]] | None:
+def _with_failed_retried(job: ShardJob, record: ShardRecord) -> list[tuple[int, Sample | str]] | None:
     """(index, sample) of all scenes of a shard: the failed ones made again, the others as stored. None if all of the
     failed scenes failed again."""
-    anew = dict(_samples(job, running, record.failures))
+    anew = dict(_samples(job, record.failures))
     if not any(isinstance(sample, Sample) for sample in anew.values()):
         return None
     manifest = read_manifest(job.root)
@@ -130,20 +136,9 @@ def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def scenes_begun(root: Path, shard: int) -> list[int]:
-    """The scenes that the writer of a shard has begun, in order, and of which the last is in work; none without a
-    writer."""
-    try:
-        return [int(line) for line in running_path(root, shard).read_text().split() if line.isdigit()]
-    except OSError:
-        return []
-
-
-def _samples(job: ShardJob, running: int, scenes: Iterable[int] | None = None) -> Iterator[tuple[int, Sample | str]]:
-    """(index, sample or reason) of some scenes of a shard (None: of all), one after the other. The number of each
-    becomes a line of the file `running`, for `scenes_begun`."""
-    for index in job.schema.scenes_of(job.shard) if scenes is None else scenes:
-        os.write(running, f"{index}\n".encode())
+def _samples(job: ShardJob, scenes: Iterable[int]) -> Iterator[tuple[int, Sample | str]]:
+    """(index, sample or reason) of some scenes of a shard, one after the other: those not known are made here."""
+    for index in scenes:
         known = job.known.get(index)
         if known is None:
             yield index, _attempt(job, index)
@@ -179,27 +174,19 @@ def _last_line_of(error: BaseException) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[int]:
-    """The handle of a file, which is created if it is missing."""
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_APPEND, 0o644)
-    try:
-        yield handle
-    finally:
-        os.close(handle)
-
-
-@contextmanager
-def _sole_writer(path: Path, patience_s: float) -> Iterator[int]:
-    """The handle of a file that this process has locked: two writers of one shard would lose data silently. The
+def _sole_writer(path: Path, patience_s: float) -> Iterator[None]:
+    """A context in which this process has locked a file, for two writers of one shard would lose data silently. The
     system unlocks the file when the process ends."""
     deadline = time.monotonic() + patience_s
     while True:
-        with _opened(path) as handle:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        try:
             # If the file system has no locks, nothing prevents a user from starting two builds of one shard.
             if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
-                os.ftruncate(handle, 0)
-                yield handle
+                yield
                 return
+        finally:
+            os.close(handle)
         if time.monotonic() > deadline:
             raise CheckError(f"{path}: another build is writing this shard; wait for it, or choose other --shards")
         time.sleep(0.05)

@@ -7,10 +7,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from datagen.config.base import Settings
+from datagen.records.label_fields import LabelName
 
 StoredField = Literal[
-    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
-    "sdf", "objects", "evidence", "presence", "background_histogram", "background_transient", "zone_depth",
+    "histogram", "transient", "transient_stderr", "background_histogram", "background_transient", LabelName
 ]  # fmt: skip
 
 

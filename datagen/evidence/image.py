@@ -1,7 +1,7 @@
-"""The image of evidence: expected detections of the light by way of the surface that each label pixel shows.
+"""The image of evidence: expected detections of the light from the surface that each label pixel shows.
 
 Let y be the point in the middle of a label pixel, A the area of surface that the pixel covers, x a laser point and z
-the middle of the footprint of a sensor pixel. The light of three bounces by way of y is (docs/physics.md)
+the middle of the footprint of a sensor pixel. The light of three bounces with the second at y is (docs/physics.md)
 
     A f₁ cosθ₁ cosθ₂ V₁₂/R₁² · f₂ · cosθ₂′ cosθ₃ V₂₃/(R₂² + a/π) · f₃ W
 
@@ -20,20 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
+from datagen.labels.frame import image_points
 from datagen.labels.images import HiddenSurface
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
-from datagen.transport.geometry import cross, get, subtract, transmittance, unit
+from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.path_tracing.vertices import LaserPoints
 from datagen.transport.quadrature.weights import weight
 from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time
 
 SCAN_PAIRS = 16
-"""Number of pairs of laser point and pixel that stand for a scan. With half as many the image takes half the time,
-and shadows that move over the scan have half as many steps."""
+"""Number of pairs of laser point and pixel that stand for a scan. More take more time, and
+give finer steps to shadows that move over the scan."""
 
 
 @dataclass(frozen=True)
@@ -103,14 +104,14 @@ def _representatives(points: Floats, most: int) -> tuple[Ints, Floats]:
 
 GRAZING = 0.02
 """Least cosine between view and surface by which the area of a label pixel is divided: on a steeper surface one pixel
-would cover metres. Halved, steep surfaces get up to twice the detections."""
+would cover metres."""
 
 
 def evidence_image(
     caster: Raycaster, surface: HiddenSurface, capture: Capture, scan_pairs: ScanPairs | None,
     detections_per_photon: Floats,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """(rows, columns) expected detections of the light of three bounces by way of the surface of each label pixel.
+    """(rows, columns) expected detections of the light of three bounces from the surface of each label pixel.
 
     caster : of the scene's triangles.
     surface : the surface that the label pixels show.
@@ -126,12 +127,11 @@ def evidence_image(
         return np.zeros(shown.shape, np.float32)
     scene, lasers, seen = surface.scene, scan_pairs.lasers, scan_pairs.seen
     materials = MaterialTable.of(scene.materials)
-    points = _surface_points(surface)
+    points = _surface_points(surface, shown)
     bin_m = float(path_from_time(capture.time.width_s))
     first = capture.time.start_s / capture.time.width_s
     to_unit = np.array([*caster.center, caster.half_extent_m])
-    pixels = np.flatnonzero(shown)
-    image = np.zeros((shown.size, len(scan_pairs.times)))
+    total = np.zeros(len(points.part))
     # One pair after the other, which bounds the memory that its rays take.
     for pair, times in enumerate(scan_pairs.times):
         on_wall, in_view = lasers.part[pair], seen.part[pair, 0]
@@ -143,7 +143,7 @@ def evidence_image(
             seen.footprint[pair, 0], seen.weight[pair, 0], lasers.leg[pair] + seen.last_leg[pair, 0],
         )  # fmt: skip
         detections = _unoccluded_detections(
-            pixels, points, ends, materials.kind, materials.values, scene.attenuation_per_m,
+            points, ends, materials.kind, materials.values, scene.attenuation_per_m,
             capture.time.origin == "source", detections_per_photon[pair] * times, bin_m, first,
         )  # fmt: skip
         legs = [(lasers.position[pair], lasers.normal[pair])]
@@ -153,15 +153,17 @@ def evidence_image(
         for end, normal in legs:
             rows = np.flatnonzero(detections > 0)
             if len(rows):
-                spans = _spans(pixels[rows], points, end, normal, caster.offset_m, to_unit)
+                spans = _spans(rows, points, end, normal, caster.offset_m, to_unit)
                 detections[rows[caster.occluded_scaled(*spans)]] = 0.0
-        image[pixels, pair] = detections
-    return np.asarray(image.sum(axis=1).reshape(shown.shape), np.float32)
+        total += detections
+    image = np.zeros(shown.shape, np.float32)
+    image[shown] = total
+    return image
 
 
 class _Points(NamedTuple):
     """The surface points in the middles of N label pixels: (N, 3) positions and unit normals that face the view, (N,)
-    area of the surface that the pixel covers (m²) and part, −1 for none."""
+    area of the surface that the pixel covers (m²) and part."""
 
     position: Floats
     normal: Floats
@@ -180,52 +182,31 @@ class _Ends(NamedTuple):
     legs_m: float
 
 
-def _surface_points(surface: HiddenSurface) -> _Points:
-    """The surface points in the middles of the label pixels."""
-    scene, frame = surface.scene, surface.frame
-    half_m = np.array([frame.half_width_m, frame.half_height_m])
-    triangles = (scene.vertices, scene.triangles)
-    position, normal, area = _points(surface.face, surface.depth, frame.center, frame.axes, half_m, *triangles)
-    part = np.append(scene.face_part, -1)[surface.face].astype(np.int64)
-    return _Points(position.reshape(-1, 3), normal.reshape(-1, 3), area.reshape(-1), part.reshape(-1))
-
-
-@compiled()
-def _points(face, depth, center, axes, half_m, vertices, triangles):  # type: ignore[no-untyped-def]
-    """`_Points.position`, `.normal` and `.area`, (rows, columns, …)."""
-    rows, columns = face.shape
-    position, normal, area = np.zeros((rows, columns, 3)), np.zeros((rows, columns, 3)), np.zeros(face.shape)
-    pixel_m2 = 4.0 * half_m[0] * half_m[1] / (rows * columns)
-    for row in range(rows):
-        upward = (1.0 - 2.0 * (row + 0.5) / rows) * half_m[1]
-        for column in range(columns):
-            if face[row, column] < 0:
-                continue
-            a, b, c = triangles[face[row, column]]
-            n = unit(cross(subtract(vertices[b], vertices[a]), subtract(vertices[c], vertices[a])))
-            # The surface behind the pixel is larger than the pixel if it is tilted.
-            slant = dot(n, axes[2])
-            area[row, column] = pixel_m2 / max(abs(slant), GRAZING)
-            right = (2.0 * (column + 0.5) / columns - 1.0) * half_m[0]
-            for k in range(3):
-                normal[row, column, k] = -n[k] if slant > 0.0 else n[k]
-                across = right * axes[0, k] + upward * axes[1, k]
-                position[row, column, k] = center[k] + across + depth[row, column] * axes[2, k]
-    return position, normal, area
+def _surface_points(surface: HiddenSurface, shown: Bools) -> _Points:
+    """The surface points in the middles of the label pixels `shown` (rows, columns)."""
+    scene, frame, face = surface.scene, surface.frame, surface.face[shown]
+    position = frame.to_world(image_points(surface.depth, shown, frame.half_width_m, frame.half_height_m))
+    corners = scene.corners[face]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    slant = normal @ frame.axes[2]
+    # The surface behind the pixel is larger than the pixel if it is tilted.
+    area = 4.0 * frame.half_width_m * frame.half_height_m / shown.size / np.maximum(abs(slant), GRAZING)
+    facing = np.where(slant[:, None] > 0.0, -normal, normal)
+    return _Points(position, facing, area, scene.face_part[face].astype(np.int64))
 
 
 @compiled()
 def _unoccluded_detections(  # type: ignore[no-untyped-def]
-    pixels, points, ends, kind, values, attenuation, from_source, gain, bin_m, first
+    points, ends, kind, values, attenuation, from_source, gain, bin_m, first
 ):  # fmt: skip
-    """(n,) expected detections by way of label pixels `pixels` (n,), if no surface occluded a path.
+    """(N,) expected detections of the light of each point, if no surface occluded a path.
 
     kind, values : BRDFs of the parts. from_source : whether the time axis counts the legs to the devices. gain : (T,)
     detections for a photon in each bin. bin_m, first : path length of a bin, and number of the first bin.
     """
-    out = np.zeros(len(pixels))
-    for k in range(len(pixels)):
-        i = pixels[k]
+    out = np.zeros(len(points.part))
+    for i in range(len(out)):
         place, n, p = get(points.position, i, 0), get(points.normal, i, 0), points.part[i]
         # The side of the surface that the label shows is dark if the laser point lies behind it.
         if dot(subtract(ends.lit_from[0], place), n) <= 0.0:
@@ -235,20 +216,20 @@ def _unoccluded_detections(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         arrival = math.floor((r1 + r3 + (ends.legs_m if from_source else 0.0)) / bin_m - first)
         if w > 0.0 and 0 <= arrival < len(gain):
-            out[k] = (
+            out[i] = (
                 points.area[i] * w * ends.sensor_share * transmittance(attenuation, ends.legs_m) * gain[int(arrival)]
             )
     return out
 
 
 @compiled()
-def _spans(pixels, points, end, normal, offset, to_unit):  # type: ignore[no-untyped-def]
-    """(n, 3) origins and spans, in embree's unit frame, of the rays from `end` to the points of label pixels (n,)."""
-    origins, spans = np.empty((len(pixels), 3), np.float32), np.empty((len(pixels), 3), np.float32)
+def _spans(rows, points, end, normal, offset, to_unit):  # type: ignore[no-untyped-def]
+    """(n, 3) origins and spans, in embree's unit frame, of the rays from `end` to the points `rows` (n,)."""
+    origins, spans = np.empty((len(rows), 3), np.float32), np.empty((len(rows), 3), np.float32)
     # Both ends are lifted off their surfaces, or single precision would let these occlude the ray.
     a = lifted_and_scaled(end, normal, offset, to_unit)
-    for k in range(len(pixels)):
-        i = pixels[k]
+    for k in range(len(rows)):
+        i = rows[k]
         b = lifted_and_scaled(points.position[i], points.normal[i], offset, to_unit)
         for j in range(3):
             origins[k, j], spans[k, j] = a[j], b[j] - a[j]

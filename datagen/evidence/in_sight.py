@@ -1,8 +1,8 @@
 """The light of objects in plain sight that `Transient.parts` does not count as theirs.
 
 `Transient.parts` splits light of three bounces by the surface of the second bounce. If the sensor sees an object, or
-the laser strikes it, more light comes by way of it: light of one bounce, of two with the wall, and of three whose
-first or last bounce is on it. All light by way of the object vanishes if it turns black in its place, so this light
+the laser strikes it, more light comes from it: light of one bounce, of two with the wall, and of three whose
+first or last bounce is on it. All of the object's light vanishes if it turns black in its place, so this light
 is
 
     L(scene) − L(scene with the object black) − parts[object].
@@ -30,13 +30,12 @@ from datagen.transport.visibility.raycast import Raycaster
 
 SAMPLES, FOV_SAMPLES = 1024, 16
 """Hidden vertices and points of a footprint if the accuracy states a target instead. Light of one bounce is exact
-with any number; the error of two and three bounces, which are far fainter, doubles with a quarter of them."""
+with any number; two and three bounces are far fainter."""
 LINES_ALONG = 9
-"""Lines of sight along each side of a pixel that search for objects in it. With half as many, smaller objects are
-found only by the rays to their triangles."""
+"""Lines of sight along each side of a pixel that search for objects in it; rays to triangles find smaller ones."""
 MOST_RAYS = 4096
-"""Most triangles of an object to whose middles the sensor sends a ray. With half as many, an object of many triangles
-that shows only a few may be missed."""
+"""Most triangles of an object to whose middles the sensor sends a ray: an object of more that shows only a few of
+them may be missed."""
 
 
 def light_in_sight(

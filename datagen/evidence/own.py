@@ -15,8 +15,9 @@ from datagen.errors import InputError
 from datagen.evidence.image import ScanPairs
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
+from datagen.records.label_fields import names_made_by
 
-OBJECT_EVIDENCE = ("object_detections", "object_brightest_bin", "object_significance")
+OBJECT_EVIDENCE = names_made_by("evidence.own")
 """Names of the stored tables of evidence, which have a row for each object."""
 
 
@@ -44,7 +45,7 @@ def own_evidence(
     transient: Transient, spad: Spad, exposure: Exposure, parts: Iterable[str] | None = None, *,
     in_sight: Mapping[str, Floats] | None = None,
 ) -> dict[str, Evidence]:  # fmt: skip
-    """Part name → evidence of the part's own light, that of three bounces by way of it, in a detector.
+    """Part name → evidence of the part's own light, that of three bounces with the second on it, in a detector.
 
     Significance is √Σ s²/b over all bins, with s the expected detections of the part's photons and b those of all
     light, after gate, dead time and jitter. Detections of several parts add up.

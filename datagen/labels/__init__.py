@@ -7,9 +7,6 @@ normal right × up, which points from the wall into the room. See `datagen.label
 
 from datagen.labels.boxes import OBJECT_TABLES, ObjectBoxes
 from datagen.labels.frame import ViewFrame
-from datagen.labels.make import IMAGE_FIELDS, LABEL_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels.make import MADE_HERE, make_labels
 
-__all__ = [
-    "IMAGE_FIELDS", "LABEL_FIELDS", "OBJECT_TABLES", "VOLUME_FIELDS", "ObjectBoxes", "ViewFrame",
-    "make_labels",
-]  # fmt: skip
+__all__ = ["MADE_HERE", "OBJECT_TABLES", "ObjectBoxes", "ViewFrame", "make_labels"]

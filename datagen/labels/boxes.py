@@ -13,11 +13,9 @@ from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
+from datagen.records.label_fields import names_made_by
 
-OBJECT_TABLES = (
-    "object_count", "object_class", "object_part", "object_box_center", "object_box_size", "object_box_rotation",
-)  # fmt: skip
-"""Names of the arrays for which the label `objects` stands."""
+OBJECT_TABLES = names_made_by("labels.boxes")
 NO_OBJECT = -1
 """Class and part in a row without an object; its box is all zeros."""
 

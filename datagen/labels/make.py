@@ -30,11 +30,8 @@ _VOLUMES: dict[str, Callable[[VoxelGrid, list[ConnectedSurface]], Array]] = {
     "sdf": signed_distance,
 }
 
-IMAGE_FIELDS = tuple(_IMAGES)
-VOLUME_FIELDS = tuple(_VOLUMES)
-TABLE_FIELDS = ("objects",)
-LABEL_FIELDS = IMAGE_FIELDS + VOLUME_FIELDS + TABLE_FIELDS
-"""All labels. `objects` stands for several arrays (`OBJECT_TABLES`), every other one for the array of its name."""
+MADE_HERE = (*_IMAGES, *_VOLUMES, "objects")
+"""The labels that `make_labels` makes. `objects` stands for several arrays (`OBJECT_TABLES`)."""
 
 
 def make_labels(
@@ -43,17 +40,7 @@ def make_labels(
 ) -> dict[str, Array]:  # fmt: skip
     """Field → array of one scene's ground truth, aligned with the relay wall.
 
-    ============  =======================  =======  ==================================================================
-    field         shape                    dtype    meaning
-    ============  =======================  =======  ==================================================================
-    `depth`       (row, column)            float32  metres from the plane of the relay wall along its normal; 0: empty
-    `normal`      (row, column, 3)         float32  unit normal along (right, up, wall normal); third ≤ 0; 0: empty
-    `albedo`      (row, column)            float32  albedo of the surface seen; 0: empty
-    `part_id`     (row, column)            int16    index into `scene.part_names`; −1: empty
-    `shaded`      (row, column)            float32  radiance, lit by the visible relay wall, 0 … 1; 0: empty
-    `occupancy`   (depth, row, column)     uint8    1 where an object is
-    `sdf`         (depth, row, column)     float32  metres to the nearest object surface, negative inside
-    ============  =======================  =======  ==================================================================
+    `LABEL_FIELDS` of `datagen.records.label_fields` says what each array is.
 
     Images show `scene.hidden_view` orthographically along its normal, row 0 at the top, column 0 at −right, with the
     relay wall as a window. Volumes fill the box along the same axes that holds `scene.hidden_bounds`. `objects` gives
@@ -66,8 +53,8 @@ def make_labels(
         objects than rows.
     """
     for field in fields:
-        if field not in LABEL_FIELDS:
-            raise InputError(f"labels: {field!r} is no label; known are {', '.join(LABEL_FIELDS)}")
+        if field not in MADE_HERE:
+            raise InputError(f"labels: {field!r} is no label; known are {', '.join(MADE_HERE)}")
     labels: dict[str, Array] = {}
     if any(field in _IMAGES for field in fields):
         surface = hidden_surface(scene, config.rows, config.columns) if surface is None else surface

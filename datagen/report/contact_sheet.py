@@ -12,10 +12,10 @@ from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, ObjectBoxes, make_labels
+from datagen.labels import MADE_HERE, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
-from datagen.report.labels import draw_boxes, draw_label
+from datagen.report.labels import DRAWN, draw_boxes, draw_label
 from datagen.report.rooms import RoomPicture, draw_opened, draw_plan, draw_sight
 from datagen.report.style import INK, captioned, check_png, house_style, save_png
 from datagen.scene import check_scene_config
@@ -85,7 +85,7 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
         raise InputError(f"labels = {count}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     # Parts come last, where there is room for their names.
-    fields = sorted(IMAGE_FIELDS + VOLUME_FIELDS, key=lambda field: field == "part_id")
+    fields = sorted((name for name in MADE_HERE if name in DRAWN), key=lambda field: field == "part_id")
     wide, high = _PANEL_IN
     lines = -(-(3 + len(fields)) // _PANELS_ACROSS)
     text = (

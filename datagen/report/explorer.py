@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from datagen.labels import IMAGE_FIELDS
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.records.arrays import Floats
 from datagen.report.curves import busy_window
-from datagen.report.labels import LabelImage
+from datagen.report.labels import DRAWN, LabelImage
 from datagen.report.replay import Replay, StoredScene
 from datagen.report.scans import Raster
 from datagen.report.style import part_colors
@@ -73,9 +72,9 @@ def _parts(scene: Scene, significance: Mapping[str, float]) -> list[dict[str, An
 
 
 def _labels(stored: StoredScene, scene: Scene) -> list[dict[str, Any]]:
-    """Stored label images as bytes, red, green and blue."""
+    """Stored labels as bytes, red, green and blue."""
     images = []
-    for name in (name for name in IMAGE_FIELDS if name in stored.arrays):
+    for name in (name for name in DRAWN if name in stored.arrays):
         image = LabelImage.of(scene, name, stored.arrays[name])
         colors, size = image.rgb, np.round(image.high - image.low, 3).tolist()
         rows, columns, _ = colors.shape

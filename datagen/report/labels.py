@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -15,53 +15,44 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from datagen.labels import OBJECT_TABLES, VOLUME_FIELDS, ObjectBoxes, ViewFrame
+from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Scene
 from datagen.records.arrays import Floats
+from datagen.records.label_fields import LabelField, Look, drawn
 from datagen.report.replay import StoredScene
 from datagen.report.style import captioned, empty_note, part_colors
 
-FAINTEST = 1e-3
-"""Expected detections under which evidence is left white: one in a thousand exposures."""
+DRAWN = drawn()
 _MOST_NAMES = 12
 """Parts that a legend beside an image has room for."""
 
 
-class _Look(NamedTuple):
-    """How a field is drawn: title, colour map, scale, and how values become an image, masked where it is empty."""
-
-    title: str
-    colors: str
-    norm: Callable[[NDArray[Any]], Normalize]
-    image: Callable[[NDArray[Any]], NDArray[Any]]
-
-
-def _facing(normal: NDArray[Any]) -> NDArray[Any]:
-    """Red grows to the right, green upwards, blue towards the wall; white where there is none."""
-    there = np.linalg.norm(normal, axis=-1, keepdims=True) > 0
-    return np.where(there, (normal * (1.0, 1.0, -1.0) + 1) / 2, 1.0).clip(0, 1)
-
-
-def _any(image: NDArray[Any]) -> Normalize:
-    """From the least value to the largest."""
-    return Normalize()
-
-
-LOOKS = {
-    "depth": _Look("Depth (m)", "viridis_r", _any, lambda of: np.ma.masked_where(of <= 0, of)),
-    "normal": _Look("Normal", "", _any, _facing),
-    "albedo": _Look("Albedo", "gray", lambda image: Normalize(0, 1), np.asarray),
-    "part_id": _Look("Part", "", _any, np.asarray),
-    "shaded": _Look("Shaded (lit relay wall: 1)", "gray", lambda image: PowerNorm(0.5, 0), np.asarray),
-    "occupancy": _Look("Occupied share of depth", "cividis", lambda image: Normalize(0), lambda of: of.mean(axis=0)),
+SCALES: dict[str, Callable[[NDArray[Any]], Normalize]] = {
+    "linear": lambda image: Normalize(),
+    "from zero": lambda image: Normalize(0),
+    "zero to one": lambda image: Normalize(0, 1),
+    "square root": lambda image: PowerNorm(0.5, 0),
+    "logarithmic": lambda image: LogNorm(),
     # Colours reach the distance that a quarter of the picture has, so that surfaces stand out.
-    "sdf": _Look("Least signed distance (m)", "RdBu", lambda image: CenteredNorm(
-        halfrange=float(np.quantile(abs(image), 0.25)) or 1.0), lambda of: of.min(axis=0)),
-    "evidence": _Look("Evidence (detections)", "magma", lambda image: LogNorm(),
-                      lambda of: np.ma.masked_where(of < FAINTEST, of)),
-}  # fmt: skip
-"""Field → how it is drawn. A volume is seen along its depth."""
+    "about zero": lambda image: CenteredNorm(halfrange=float(np.quantile(abs(image), 0.25)) or 1.0),
+}
+"""`Look.scale` → the scale of an image."""
+
+
+def _pixels(scene: Scene, of: LabelField, values: NDArray[Any]) -> NDArray[Any]:
+    """(rows, columns) values as they are drawn, masked where the label is empty, or (rows, columns, 3) colours."""
+    look = of.look
+    assert look is not None, of.name
+    if look.colors == "parts":
+        palette = [to_rgb(part_colors(scene)[name]) for name in scene.part_names]
+        return np.array([*palette, (1.0, 1.0, 1.0)])[values]
+    if look.colors == "directions":
+        there = np.linalg.norm(values, axis=-1, keepdims=True) > 0
+        return np.where(there, (values * (1.0, 1.0, -1.0) + 1) / 2, 1.0).clip(0, 1)
+    if of.is_volume:
+        values = values.mean(axis=0) if look.along_depth == "mean" else values.min(axis=0)
+    return values if look.least is None else np.ma.masked_where(values < look.least, values)
 
 
 @dataclass(frozen=True)
@@ -73,23 +64,26 @@ class LabelImage:
     """
 
     values: NDArray[Any]
-    look: _Look
+    look: Look
     low: Floats
     high: Floats
 
     @classmethod
     def of(cls, scene: Scene, field: str, values: NDArray[Any]) -> LabelImage:
         """The picture of a label of `datagen.labels`."""
-        frame, look = ViewFrame.of(scene), LOOKS[field]
+        frame, of = ViewFrame.of(scene), DRAWN[field]
         high = np.array([frame.half_width_m, frame.half_height_m])
         low = -high
-        if field in VOLUME_FIELDS:
+        if of.is_volume:
             grid = VoxelGrid.of(scene, values.shape)
             low, high = grid.low[:2], grid.high[:2]
-        if field == "part_id":
-            palette = [to_rgb(part_colors(scene)[name]) for name in scene.part_names]
-            values = np.array([*palette, (1.0, 1.0, 1.0)])[values]
-        return cls(look.image(values), look, low, high)
+        assert of.look is not None
+        return cls(_pixels(scene, of, values), of.look, low, high)
+
+    @property
+    def norm(self) -> Normalize:
+        """The scale of its values."""
+        return SCALES[self.look.scale](self.values)
 
     @property
     def rgb(self) -> NDArray[np.uint8]:
@@ -99,7 +93,7 @@ class LabelImage:
         if self.empty:
             return np.full((*self.values.shape, 3), 255, np.uint8)
         colors = colormaps[self.look.colors].with_extremes(bad="white")
-        shown: NDArray[np.uint8] = colors(self.look.norm(self.values)(self.values), bytes=True)[..., :3]
+        shown: NDArray[np.uint8] = colors(self.norm(self.values), bytes=True)[..., :3]
         return shown
 
     @property
@@ -118,16 +112,14 @@ def draw_label(figure: Figure, axes: Axes, scene: Scene, field: str, values: NDA
     image = LabelImage.of(scene, field, values)
     (left, bottom), (right, top) = image.low, image.high
     axes.set(title=image.look.title, xlabel="right (m)", ylabel="up (m)")
-    style: dict[str, Any] = (
-        {"cmap": image.look.colors, "norm": image.look.norm(image.values)} if image.look.colors else {}
-    )
+    style: dict[str, Any] = {} if image.values.ndim == 3 else {"cmap": image.look.colors, "norm": image.norm}
     if image.empty:
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         return empty_note(axes, "empty")
     shown = axes.imshow(image.values, extent=(left, right, bottom, top), interpolation="nearest", **style)
     if style:
         figure.colorbar(shown, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)))
-    if field == "part_id":
+    if image.look.colors == "parts":
         colors = part_colors(scene)
         seen = [scene.part_names[k] for k in np.unique(values) if k >= 0][:_MOST_NAMES]
         handles = [Patch(facecolor=colors[name], edgecolor="#555555", linewidth=0.5, label=name) for name in seen]

@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from datagen.errors import InputError, InputWarning
-from datagen.labels import IMAGE_FIELDS, OBJECT_TABLES, VOLUME_FIELDS, make_labels
+from datagen.labels import OBJECT_TABLES, make_labels
 from datagen.labels.frame import scan_place
 from datagen.records import Capture, Scene, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.report.curves import draw_counts, draw_parts
-from datagen.report.labels import draw_label, labels_page
+from datagen.report.labels import DRAWN, draw_label, labels_page
 from datagen.report.replay import Light, Replay, StoredScene, read_scene, replay
 from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scans import Raster, draw_time_slice, scan_page
@@ -27,7 +27,6 @@ from datagen.store.summaries import OVER_M
 
 PAGES = ("overview", "histogram", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
-_FIELDS = (*IMAGE_FIELDS, "evidence", *VOLUME_FIELDS)
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
@@ -63,7 +62,7 @@ def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -
     To be used within `house_style()`.
     """
     # Depth is drawn in any case.
-    wanted = [name for name in _FIELDS if name in stored.arrays or name == "depth"]
+    wanted = [name for name in DRAWN if name in stored.arrays or name == "depth"]
     missing = [name for name in wanted if name not in stored.arrays]
     made = make_labels(stored.config.labels, replayed.scene, missing) | dict(stored.arrays)
     labels = {name: made[name] for name in wanted}
@@ -86,7 +85,7 @@ def stored_pages(stored: StoredScene, why: str) -> Iterator[tuple[str, Figure]]:
     To be used within `house_style()`. Raises `InputError` where nothing of it is stored.
     """
     light, scene = light_of_stored(stored), scene_of_stored(stored)
-    labels = {name: stored.arrays[name] for name in _FIELDS if name in stored.arrays}
+    labels = {name: stored.arrays[name] for name in DRAWN if name in stored.arrays}
     if light is None and (scene is None or not labels):
         raise InputError(f"{stored.title}: {why}, and neither histogram, transient nor labels are stored")
     source = f" (file {stored.parameters['capture.file']})" if "capture.file" in stored.parameters else ""

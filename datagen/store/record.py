@@ -116,7 +116,7 @@ def _record_name(shard: int) -> str:
 
 
 def running_path(root: Path, shard: int) -> Path:
-    """Path of the file that the writer of a shard locks; its lines are the scenes begun so far."""
+    """Path of the file that the writer of a shard locks."""
     return root / BUILD / f"shard-{shard:06d}.running"
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
+from datagen.records.label_fields import LABEL_FIELDS
 
 FORMAT = 1
 """Number of the stored format. It rises when the bytes of a file or the meaning of a field change, not when a field
@@ -33,8 +34,6 @@ LARGEST_SCENE_BYTES = 2**34
 _MEASURED = ("scene", "laser", "pixel", "bin")
 _LIGHT = ("scene", "laser", "pixel", "transient_bin")
 """Axes of a transient whose bins the sensor merges (`detector.bins_merged`), so that a histogram has fewer."""
-_IMAGE = ("scene", "row", "column")
-_VOLUME = ("scene", "voxel_depth", "voxel_row", "voxel_column")
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     Raises `InputError` if one time series is larger than a chunk can be.
     """
-    fields = _large_fields(config) + _label_tables(config) + _small_fields(config)
+    fields = _measured_fields(config) + _label_fields(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
@@ -152,11 +151,10 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
     return k
 
 
-def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
-    """The sharded fields that the configuration stores: measurements, label images and volumes."""
+def _measured_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The measurements that the configuration stores."""
     measured, light = config.histogram_shape, config.capture.shape
     of_light = _MEASURED if measured == light else _LIGHT
-    image, volume = (config.labels.rows, config.labels.columns), config.labels.voxels
     imported = isinstance(config.scene.layout, ImportedCaptures)
     photons = "as in the file" if imported else "photons at the aperture per emitted photon"
     known = (
@@ -171,64 +169,28 @@ def _large_fields(config: DatasetConfig) -> tuple[Field, ...]:
               "photons detected over an exposure of the same room without its objects, with noise of its own"),
         Field("background_transient", of_light, light, "float32", photons,
               "expected impulse response of the same room without its objects"),
-        Field("depth", _IMAGE, image, "float32", "m",
-              "distance of the surface seen from the plane of the relay wall, along its normal; 0: empty"),
-        Field("normal", (*_IMAGE, "axis"), (*image, 3), "float32", "1",
-              "unit normal of the surface seen along (right, up, wall normal); 0: empty"),
-        Field("albedo", _IMAGE, image, "float32", "1", "albedo of the surface seen; 0: empty"),
-        Field("part_id", _IMAGE, image, "int16", "1",
-              "index of the part seen in the parameter scene.part_names; -1: empty"),
-        Field("shaded", _IMAGE, image, "float32", "radiance of the lamp",
-              "radiance of the surface seen, lit by the visible relay wall (radiance 1) and dimly from elsewhere, "
-              "with shadows; linear; 0: empty"),
-        Field("evidence", _IMAGE, image, "float32", "counts",
-              "expected detections of light of three bounces by way of the surface seen, over the scan; 0: empty"),
-        Field("occupancy", _VOLUME, volume, "uint8", "1", "1 where an object is"),
-        Field("sdf", _VOLUME, volume, "float32", "m", "distance to the nearest object surface, negative inside"),
     )  # fmt: skip
     return tuple(field for field in known if field.name in config.store.fields)
 
 
-def _label_tables(config: DatasetConfig) -> tuple[Field, ...]:
-    """The small labels that the configuration stores: tables of objects, with enough rows for every scene that it can
-    give, and depth by zone."""
-    classes, rows = config.scene.object_classes(), config.scene.most_objects()
+def _label_fields(config: DatasetConfig) -> tuple[Field, ...]:
+    """The labels that the configuration stores; tables have rows enough for the objects of every scene of it."""
+    classes, voxels = config.scene.object_classes(), config.labels.voxels
     if "objects" in config.store.fields and len(classes) > np.iinfo(np.int16).max:
         raise InputError(f"store.fields: 'objects' can number 32767 classes, scene.contents has {len(classes)}")
-    row, frame = ("scene", "object"), "of the label frame (right, up, depth from the middle of hidden_view)"
-    objects = (
-        Field("object_count", ("scene",), (), "int32", "1", "number of objects; rows beyond it are fill", False),
-        Field("object_class", row, (rows,), "int16", "1", "class of the object, an index into this field's list of "
-              "classes; -1: no object in this row", False, classes),
-        Field("object_part", row, (rows,), "int16", "1",
-              "index of the object in the parameter scene.part_names, as in part_id; -1: no object", False),
-        Field("object_box_center", (*row, "axis"), (rows, 3), "float32", "m",
-              f"middle of the object's box along the axes {frame}; 0: no object", False),
-        Field("object_box_size", (*row, "axis"), (rows, 3), "float32", "m",
-              "extent of the box along the object's own width, depth and height; 0: no object", False),
-        Field("object_box_rotation", (*row, "axis", "own_axis"), (rows, 3, 3), "float32", "1",
-              f"columns: unit vectors of the object's own width, depth (its back at +) and height along the axes "
-              f"{frame}; 0: no object", False),
-        Field("object_detections", row, (rows,), "float32", "counts",
-              "expected detections of the object's own light of three bounces, over the scan; 0: no object", False),
-        Field("object_brightest_bin", row, (rows,), "float32", "counts",
-              "the same in the bin where they are most; 0: no object", False),
-        Field("object_significance", row, (rows,), "float32", "1",
-              "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
-              "matched filter; 0: no object", False),
+    sizes = {
+        "row": config.labels.rows, "column": config.labels.columns, "axis": 3, "own_axis": 3,
+        "voxel_depth": voxels[0], "voxel_row": voxels[1], "voxel_column": voxels[2],
+        "object": config.scene.most_objects(), "sensor_pixel": _all_pixels(config),
+    }  # fmt: skip
+    return tuple(
+        Field(
+            of.name, ("scene", *of.dims), tuple(sizes[name] for name in of.dims), of.dtype, of.unit, of.meaning,
+            sharded=of.is_image or of.is_volume, classes=classes if of.name == "object_class" else (),
+        )
+        for of in LABEL_FIELDS
+        if of.label in config.store.fields
     )  # fmt: skip
-    presence = Field(
-        "object_presence", row, (rows,), "float32", "1",
-        "sqrt(sum s^2 / m) over all bins, s what the object adds to the expected detections, m those with or without "
-        "it, whichever are more: standard deviations of an ideal matched filter; 0: no object", False,
-    )  # fmt: skip
-    zone_depth = Field(
-        "zone_depth", ("scene", "sensor_pixel"), (_all_pixels(config),), "float32", "m",
-        "depth of what each zone (or pixel) sees first, from the sensor along the zone's axis: mean over its "
-        "footprint, weighted by its sensitivity; NaN where it sees nothing", False,
-    )  # fmt: skip
-    known = {"objects": objects, "presence": (presence,), "zone_depth": (zone_depth,)}
-    return tuple(field for label, fields in known.items() if label in config.store.fields for field in fields)
 
 
 def _all_pixels(config: DatasetConfig) -> int:

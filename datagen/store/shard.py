@@ -19,9 +19,9 @@ from datagen.store.environment import made_with
 from datagen.store.files import PARTIAL, own_path, write_atomically
 from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, record_path
 from datagen.store.schema import Field, Schema
-from datagen.store.stats import COUNTS, WITH_STATS, stats_of
+from datagen.store.stats import COUNTS, LABELS, WITH_STATS, stats_of
 
-FINITE = ("transient", "background_transient", "depth", "normal", "albedo", "shaded", "sdf", "evidence")
+FINITE = ("transient", "background_transient", *LABELS)
 """Fields whose values must be finite."""
 
 

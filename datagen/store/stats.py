@@ -11,8 +11,9 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
-LABELS = ("depth", "normal", "albedo", "shaded", "occupancy", "sdf")
-"""Labels whose values are quantities, not indices."""
+from datagen.records.label_fields import LABEL_FIELDS
+
+LABELS = tuple(of.name for of in LABEL_FIELDS if of.is_quantity)
 COUNTS = ("histogram", "background_histogram")
 WITH_STATS = (*COUNTS, *LABELS)
 

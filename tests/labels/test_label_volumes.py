@@ -226,6 +226,21 @@ def _indexed(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
+def test_labels_are_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of surfaces in one place, too: a second floor lies on the floor."""
+    floor = Rectangle.of((4.5, 2.5, 0.0), (1.5, 0, 0), (0, 1.5, 0))
+    objects = [Part(f"object_{k}", mesh, Lambertian(0.5)) for k, mesh in enumerate((ball(), rectangle_mesh(floor)))]
+    made = []
+    for threads in (1, 1, 3):
+        monkeypatch.setattr("datagen.labels.triangles._THREADS", threads)
+        made.append(
+            make_labels(CONFIG, l_corridor(objects=objects), ("depth", "part_id", "shaded", "occupancy", "sdf"))
+        )
+    for other in made[1:]:
+        for field, values in other.items():
+            np.testing.assert_array_equal(values, made[0][field], err_msg=field)
+
+
 def test_missing_open3d_names_the_system_packages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(InputError, match=r"^labels: images and volumes need Open3D.*docker/system-packages\.txt"):

@@ -14,10 +14,10 @@ from handmade_rooms import l_corridor
 
 from datagen.config import config_from_mapping
 from datagen.config.labels import LabelsConfig
-from datagen.labels import VOLUME_FIELDS, make_labels
+from datagen.labels import make_labels
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head
-from datagen.report.labels import LOOKS, LabelImage
+from datagen.report.labels import DRAWN, LabelImage
 from datagen.report.replay import StoredScene
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -84,10 +84,10 @@ def test_a_room_s_values_say_what_its_objects_have_and_show_labels_as_the_pictur
     assert label["name"].startswith("Depth (m), ") and label["size"] == [3.0, 2.5]
 
 
-@pytest.mark.parametrize("field", LOOKS)
+@pytest.mark.parametrize("field", DRAWN)
 def test_every_label_is_an_image_even_where_it_is_empty(field: str) -> None:
     """White where there is nothing; a volume as it is seen along its depth."""
-    room, volume = l_corridor(), field in VOLUME_FIELDS
+    room, volume = l_corridor(), DRAWN[field].is_volume
     shape = (3, 4, 6) if volume else (4, 6, 3) if field == "normal" else (4, 6)
     empty = np.full(shape, -1) if field == "part_id" else np.zeros(shape)
     image = LabelImage.of(room, field, empty)

@@ -12,7 +12,7 @@ from handmade_rooms import box_mesh, l_corridor
 from matplotlib.figure import Figure
 
 from datagen.config import config_from_mapping
-from datagen.labels import IMAGE_FIELDS, VOLUME_FIELDS, make_labels
+from datagen.labels import make_labels
 from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis, Transient
 from datagen.report.pages import PAGES, pages
 from datagen.report.replay import Replay, StoredScene
@@ -51,7 +51,11 @@ def replayed(
     expected = photons * total + 0.01 * (photons > 0)
     counts = rng.poisson(expected)
     config = config_from_mapping({"name": "handmade", "labels": {"rows": 16, "columns": 16, "voxels": [8, 8, 8]}})
-    labels = make_labels(config.labels, scene, IMAGE_FIELDS + VOLUME_FIELDS[:1]) if stored else {}
+    labels = (
+        make_labels(config.labels, scene, ("depth", "normal", "albedo", "part_id", "shaded", "occupancy"))
+        if stored
+        else {}
+    )
     arrays = {"histogram": counts, "transient": total, **labels} if stored else {}
     difference = 0.0 if stored else None
     return StoredScene(config, 3, arrays), Replay(scene, capture, transient, counts, expected, difference)

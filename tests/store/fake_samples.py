@@ -93,6 +93,16 @@ def dies_once_at_5(config: DatasetConfig, index: int) -> Sample:
     return fake_sample(config, index)
 
 
+def dies_once_at_5_and_tells(config: DatasetConfig, index: int) -> Sample:
+    """The same; the file has a line for each scene that was begun."""
+    begun = Path(config.description)
+    with begun.open("a") as file:
+        file.write(f"{index}\n")
+    if begun.read_text().split().count("5") == 1 and index == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return fake_sample(config, index)
+
+
 def waits_for_another(config: DatasetConfig, index: int) -> Sample:
     """Waits for a second process; the description of the configuration names the folder where they meet."""
     folder = Path(config.description)
