@@ -127,20 +127,24 @@ def choose(
         if approximate:
             sampler[drawn > MANY_EVENTS] = Sampler.MULTINOMIAL
         elif len(many := np.flatnonzero(drawn > MOST_EVENTS)):
-            raise InputError(f"{where(int(many[0]))}: {_too_many(drawn[many[0]], spad)}")
+            raise InputError(f"{where(int(many[0]))}: {_too_many(detections[many[0]], burn_in[many[0]], spad)}")
     uncountable = np.flatnonzero((sampler == Sampler.POISSON) & ~(events < LARGEST_MEAN))
     if len(uncountable):
         check_countable(flux[uncountable] * exposure.cycles, lambda row: where(int(uncountable[row])))
     return Choices(sampler, totals, bias, deviation, detections)
 
 
-def _too_many(events: float, spad: Spad) -> str:
+def _too_many(detections: float, burn_in: float, spad: Spad) -> str:
     """Why events of a detector cannot be drawn one by one, and what to do."""
-    memory = max(spad.dead_time_s, max(spad.afterpulse_times_s) if spad.afterpulse_probability > 0 else 0.0)
+    remedy = "lower cycles or photons_per_pulse, close the gate on the direct return"
+    when = ""
+    if burn_in > detections:
+        when, remedy = " before the exposure, until the detector forgets how it started", "shorten dead_time_s"
+        if spad.afterpulse_probability > 0:
+            remedy = "shorten afterpulse_times_s or dead_time_s"
     return (
-        f"{events:.2g} events with {_kind(spad)} and a memory of {memory:g} s, at most {MOST_EVENTS:.0e} "
-        "are drawn one by one; lower cycles or photons_per_pulse, close the gate on the direct return, or allow an "
-        "approximate variance with approximate=True"
+        f"{max(detections, burn_in):.2g} events with {_kind(spad)}{when}, at most {MOST_EVENTS:.0e} are drawn one by "
+        f"one; {remedy}, or allow an approximate variance with approximate=True"
     )
 
 
