@@ -171,13 +171,14 @@ def _work(pipe: connection.Connection) -> None:
     # An error of the pipe means that nobody reads any more.
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
-            function, arguments = pipe.recv()
-            pipe.send(None)
-            pipe.send(_outcome(function, arguments))
+            pipe.send(_outcome_of_next(pipe))
 
 
-def _outcome(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[Any, Exception | None]:
-    """What a job returned, or raised; one of the two is None."""
+def _outcome_of_next(pipe: connection.Connection) -> tuple[Any, Exception | None]:
+    """What the next job returns, or raises; one of the two is None."""
+    # Local here, so that an idle worker keeps no samples of a shard.
+    function, arguments = pipe.recv()
+    pipe.send(None)
     try:
         return function(*arguments), None
     except Exception as error:
