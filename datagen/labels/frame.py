@@ -76,7 +76,8 @@ def pixel_places(rows: int, columns: int, half_width_m: float, half_height_m: fl
 def image_points(depth: NDArray[Any], mask: Bools, half_width_m: float, half_height_m: float) -> Floats:
     """(N, 3) right, up and depth, in metres of the label frame, of the centres of the image pixels in `mask`."""
     seen = mask.reshape(-1)
-    at = pixel_places(*depth.shape, half_width_m, half_height_m)[seen]
+    rows, columns = depth.shape
+    at = pixel_places(rows, columns, half_width_m, half_height_m)[seen]
     return np.concatenate([at, depth.reshape(-1, 1)[seen].astype(np.float64)], axis=-1)
 
 

@@ -41,7 +41,7 @@ def enclosed_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
         layer = np.ceil(np.maximum(plane_depths(triangles[f[met]], at[met]) - 0.5, 0)).astype(np.int64)
         within = layer < layers
         np.add.at(crossings, (layer[within], row[met[within]], column[met[within]]), 1)
-    return np.logical_xor.accumulate(crossings % 2 == 1, axis=0)
+    return np.asarray(np.logical_xor.accumulate(crossings % 2 == 1, axis=0))
 
 
 def _on_left(start: Floats, end: Floats, at: Floats) -> Bools:

@@ -78,7 +78,7 @@ def _visible_share(
     point, lamp_point = np.nonzero(faces)
     starts = points[point] + lift_m * normals[point]
     weight[faces] *= ~occluders.blocked(starts, on_lamp[lamp_point] + lift_m * lamp_normal)
-    return np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0)
+    return np.asarray(np.divide(weight.sum(axis=1), sent, out=np.zeros(len(points)), where=sent > 0))
 
 
 def form_factors(points: Floats, normals: Floats, corners: Floats) -> Floats:

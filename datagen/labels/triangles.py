@@ -70,4 +70,4 @@ def plane_depths(corners: Floats, at: Floats) -> Floats:
     rise = np.einsum("nk,nk->n", normal[:, :2], at - corners[:, 0, :2])
     # A triangle seen edge on is met by rounding only, and any of its depths will do.
     slope = np.divide(rise, normal[:, 2], out=np.zeros(len(rise)), where=normal[:, 2] != 0)
-    return np.clip(corners[:, 0, 2] - slope, low, high)
+    return np.asarray(np.clip(corners[:, 0, 2] - slope, low, high))

@@ -46,10 +46,10 @@ def _pixels(scene: Scene, of: LabelField, values: NDArray[Any]) -> NDArray[Any]:
     assert look is not None, of.name
     if look.colors == "parts":
         palette = [to_rgb(part_colors(scene)[name]) for name in scene.part_names]
-        return np.array([*palette, (1.0, 1.0, 1.0)])[values]
+        return np.asarray(np.array([*palette, (1.0, 1.0, 1.0)])[values])
     if look.colors == "directions":
         there = np.linalg.norm(values, axis=-1, keepdims=True) > 0
-        return np.where(there, (values * (1.0, 1.0, -1.0) + 1) / 2, 1.0).clip(0, 1)
+        return np.asarray(np.where(there, (values * (1.0, 1.0, -1.0) + 1) / 2, 1.0).clip(0, 1))
     if of.is_volume:
         values = values.mean(axis=0) if look.along_depth == "mean" else values.min(axis=0)
     return values if look.least is None else np.ma.masked_where(values < look.least, values)
