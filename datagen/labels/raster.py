@@ -53,7 +53,7 @@ def _on_left(start: Floats, end: Floats, at: Floats) -> Bools:
     forward = (start[:, 0] < end[:, 0]) | ((start[:, 0] == end[:, 0]) & (start[:, 1] < end[:, 1]))
     low, high = np.where(forward[:, None], start, end), np.where(forward[:, None], end, start)
     across = (high[:, 0] - low[:, 0]) * (at[:, 1] - low[:, 1]) - (high[:, 1] - low[:, 1]) * (at[:, 0] - low[:, 0])
-    return (across >= 0) == forward
+    return np.asarray((across >= 0) == forward)
 
 
 @compiled()
