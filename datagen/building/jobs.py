@@ -83,10 +83,12 @@ class Jobs:
 
     @property
     def root(self) -> Path:
+        """The dataset's folder."""
         return self.output.folder
 
     @property
     def schema(self) -> store.Schema:
+        """Shape and division of the dataset."""
         return self.manifest.schema
 
     def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:

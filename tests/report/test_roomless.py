@@ -69,7 +69,7 @@ def texts(path: Path, index: int = 0) -> dict[str, str]:
     from matplotlib.text import Text
 
     stored = read_scene(path, index)
-    why = why_roomless(stored.config, stored.meshes)
+    why = why_roomless(stored.config, stored.missing)
     assert why is not None
     with house_style():
         return {
