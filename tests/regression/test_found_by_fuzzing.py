@@ -22,7 +22,7 @@ from datagen import (
     detect,
     simulate,
 )
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.transport.error_control.confidence import Scatter, bound_factor
 from datagen.transport.path_tracing.replicate_spread import Sketch
 
@@ -99,8 +99,10 @@ def test_bright_triangles_under_dark_ones_are_proven_hidden() -> None:
         Laser((0, 0, 2.0), points), Sensor((0, 0, 2.0), square_pixels(points, 0.02)), bins_of_path(32, 0.1, 0.0),
         pairing="confocal",
     )  # fmt: skip
-    found = simulate(Scene.from_parts([wall, *both]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
+    with pytest.warns(InputWarning, match="'over' is taken to lie on 'under'"):
+        found = simulate(Scene.from_parts([wall, *both]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
     alone = simulate(Scene.from_parts([wall, both[1]]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
-    assert found.spend.way == {"primary": "cells"} and found.spend.cost < 2e6
+    # The one that lies on the other is 30 µm above it, and the gap between them takes work to prove dark.
+    assert found.spend.way == {"primary": "cells"} and found.spend.cost < 1e7
     assert found.parts["under"].sum() == 0.0 < found.parts["over"].sum()
     np.testing.assert_allclose(found.total.sum(), alone.total.sum(), rtol=0.02)
