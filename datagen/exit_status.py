@@ -18,7 +18,7 @@ from datagen.errors import CheckError, InputError, InputWarning, printable
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Signal → what the last line of the process calls it."""
 AGAIN_S = 0.1
-"""Seconds after which `Ended` is raised again where a library swallowed it. Half as many would gain nothing."""
+"""Seconds after which `Ended` is raised again where a library swallowed it."""
 
 
 GOES_ON = "what is committed stays, run the same command again to go on"

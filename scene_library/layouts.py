@@ -218,7 +218,7 @@ def isolated_wall(
 
 
 SCREEN_BEHIND_M = 0.05
-"""From the device back to the screen behind it. Half as much lets objects stand somewhat nearer to the wall."""
+"""From the device back to the screen behind it."""
 
 
 def wall_behind_objects(

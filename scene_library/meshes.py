@@ -49,8 +49,7 @@ COARSEST_STEP = 1e-3
 """Steps of a file's coordinates, relative to the object's size, above which its shape is taken to be lost."""
 MOST_TRIANGLES, MOST_THINNED = 4_000_000, 16_000_000
 """Triangles of a mesh that is used as it is, and of one that `max_triangles` thins. Four million take 4.3 GiB and
-half a minute a scene, six million three minutes to be thinned; half as many of either would refuse what a laser
-scanner makes of a statue."""
+half a minute a scene, six million three minutes to be thinned; a laser scanner makes as many of a statue."""
 MESHES_KEPT = 256
 """Meshes held in memory by each process; beyond that the oldest is dropped."""
 

@@ -21,7 +21,7 @@ RATE = 3e-3
 baseline, whose scores are not comparable."""
 THRESHOLDS = np.linspace(0.05, 0.95, 19)
 """Candidates for the probability above which a pixel (or voxel) counts as an object. The candidate is chosen whose
-silhouettes (or volumes) overlap best in the split val; half as many would miss the best overlap by more."""
+silhouettes (or volumes) overlap best in the split val."""
 
 
 def small_network(outputs: int) -> torch.nn.Sequential:

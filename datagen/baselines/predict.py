@@ -24,11 +24,11 @@ from datagen.store.scenes import Scenes
 Predicted = dict[str, NDArray[Any]]
 
 LAYERS = 32
-"""Layers of the grid from which backprojection takes depth; half as many make depth twice as coarse."""
+"""Layers of the grid from which backprojection takes depth: its steps of depth."""
 BRIGHT = 0.5
-"""Fraction of the brightest voxel above which a voxel counts as an object. With half as much objects grow."""
+"""Fraction of the brightest voxel above which a voxel counts as an object."""
 SMALLEST = 4
-"""Least number of pixels of an object; half as many would keep patches of two pixels."""
+"""Least number of pixels of an object: smaller patches are noise."""
 
 
 def mean_of_training(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:

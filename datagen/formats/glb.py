@@ -25,7 +25,7 @@ from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
 from datagen.transport.visibility.raycast import Raycaster
 
 _MARK_M = 0.04
-"""Radius of the spheres that mark laser and sensor, metres; half as large ones are hard to see in a room."""
+"""Radius of the spheres that mark laser and sensor, metres, to be seen in a room."""
 _TINTS = {"relay_wall": (0.55, 0.75, 1.0), "structure": (1.0, 1.0, 1.0), "object": (1.0, 0.65, 0.3)}
 """Role of a part → colour that is multiplied by its albedo."""
 _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -32,9 +32,9 @@ MOST_FILES = 100_000
 MOST_IN_A_FOLDER = 10_000
 """Limits of a repository of the Hub: https://huggingface.co/docs/hub/storage-limits."""
 _ROWS_AT_ONCE = 100
-"""Number of rows whose pictures are in memory together; half as many make twice as many row groups in the file."""
+"""Number of rows whose pictures are in memory together, and in a row group of the file."""
 _THUMBNAIL = 128
-"""Pixels of a picture along its longer side; half as many would be too coarse to distinguish scenes."""
+"""Pixels of a picture along its longer side, enough to distinguish scenes."""
 _IMAGE = {"_type": "Image"}
 
 

@@ -22,7 +22,7 @@ from datagen.errors import InputError
 from datagen.untrusted import DEFLATE_REACHES
 
 _HEAD = 4096
-"""First bytes of a variable, which must contain its name and sizes. Half as many would do for usual names."""
+"""First bytes of a variable, which must contain its name and sizes."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NO_NUMBERS = {1: "cell array", 2: "structure", 3: "object", 4: "text", 5: "sparse array"}

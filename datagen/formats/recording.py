@@ -22,12 +22,11 @@ from datagen.records.sample import geometry_fields
 
 UNKNOWN = np.full(3, np.nan)
 SMALLEST_WALL_M = 0.01
-"""Width of the relay wall of a scan of a single point. Half as much would change nothing but the stored wall."""
+"""Width of the relay wall of a scan of a single point, which has no extent of its own."""
 _AT_ONCE = 2**22
-"""Number of values that are checked together. Half as many take the same time; all of them would need a copy."""
+"""Number of values that are checked together, because all of them would need a copy."""
 SAME = 1e-6
-"""Relative difference up to which a value of a file and an option count as equal. With half as much, a value that was
-written with six digits may be refused."""
+"""Relative difference up to which a value of a file and an option count as equal: a file may state six digits."""
 _SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _FLAGS = {"wall_m": "wall", "axes": "axes", "delays": "tof"}

@@ -20,7 +20,7 @@ from datagen.records.checks import shown
 from datagen.store import Manifest
 
 MOST_VOXELS = 2**26
-"""The most voxels of a volume, 256 MiB of float32; half as many would refuse 400³."""
+"""The most voxels of a volume, 256 MiB of float32: some 400³."""
 
 
 class Volumes:

@@ -25,7 +25,7 @@ Secondary = Literal["all", "strongest", "none"]
 Conserved = Literal["room", "lookin", "rays"]
 
 POINTS_AT_ONCE = 1 << 18
-"""Observed points in memory at once. Half as many take half of the memory and as much time."""
+"""Observed points in memory at once."""
 MAX_RAYS, MAX_PIXELS = 1024, 1024
 
 

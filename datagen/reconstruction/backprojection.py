@@ -30,8 +30,7 @@ from datagen.units import time_from_path
 GEOMETRY = ("hidden_view", "hidden_bounds", "laser_points", "sensor_points", "laser_position", "sensor_position")
 """Fields that state where a measurement was made, and where the hidden part is."""
 LASERS_OF_A_FLOOD = 16
-"""Laser points that represent the points of a flood, all of which are lit at once. Half as many take half of the
-time, and lie twice as far apart."""
+"""Laser points that represent the points of a flood, all of which are lit at once: the time grows with them."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,8 @@ def reconstructed(scan: Scan, grid: VoxelGrid) -> Floats:
 
 Singles = NDArray[np.float32]
 BLOCK = 1024
-"""Places whose distances to all laser points and pixels are computed together; this many distances fit into a core's
-cache. Half as many double the passes over the signal."""
+"""Places whose distances to all laser points and pixels are computed together: as many distances as fit into a core's
+cache."""
 
 
 @compiled(nogil=True)

@@ -20,11 +20,10 @@ TARGETS = (1e-4, 1.0)
 CHOSEN_BY_TARGET = ("lookins", "fov_samples", "replicates")
 """The counts that the solver chooses where a target is given."""
 FIRST_FOV_SAMPLES = 16
-"""FoV points for each hidden vertex in the first round of a target; later rounds take a number found by that round.
-Halved, the first round is noisier, and its choice worse."""
+"""FoV points for each hidden vertex in the first round of a target; later rounds take a number found by that round."""
 PARTS_PER_TARGET = 2.5
-"""Default of `part_target` in units of `target`. Half as much would simulate each object's light nearly as accurately
-as the whole transient, at several times the cost."""
+"""Default of `part_target` in units of `target`: an object's light as accurate as the whole transient would cost
+several times as much."""
 
 
 class _Default(int):

@@ -11,10 +11,10 @@ from datagen.errors import InputError
 from datagen.records.arrays import Floats
 
 LONGEST_SHOWN = 60
-"""Most characters of a value in an error message; with half as many a short list would be shown as its type."""
+"""Most characters of a value in an error message, enough for a short list; longer ones are shown by their type."""
 TDC_PERIOD_ACCURACY = 1e-5
-"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables. Halved,
-a bin of 2.5 ns / 140 that is written as 17.857 ps is refused."""
+"""Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables:
+a bin of 2.5 ns / 140 may be written as 17.857 ps."""
 
 
 def check_number(record: str, name: str, value: object, low: float, high: float, remedy: str) -> None:

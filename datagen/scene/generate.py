@@ -31,7 +31,7 @@ from scene_library.solids import Solid, joined
 from scene_library.visibility import visible_fan, visible_interval
 
 MESHES_CHECKED = 200
-"""About how many files of a folder are loaded, at most, before a build. Half as many find half of rare bad files."""
+"""About how many files of a folder are loaded, at most, before a build."""
 SMALLEST_VIEW_M = 0.05
 """Least visible width of the relay wall: scans of a narrower one would be a line."""
 Shortfall = Callable[[Scene, Mapping[str, float]], str | None]

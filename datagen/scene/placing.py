@@ -17,8 +17,7 @@ from scene_library.rooms import FloorPlan
 from scene_library.solids import Solid
 
 POSITIONS_PER_OBJECT = 40
-"""Positions tried for one object before all objects of the room are placed anew. With half as many, more rooms are
-placed anew or given up."""
+"""Positions tried for one object before all objects of the room are placed anew, which takes longer."""
 
 
 class Unmet(Exception):

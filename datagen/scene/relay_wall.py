@@ -20,10 +20,10 @@ from scene_library.solids import Surface
 from scene_library.visibility import visible_fan, visible_interval
 
 CLUTTER_GAP_M = 0.01
-"""Gap between the relay wall's nominal plane and the clutter before it; half as much would still be
-far above the rounding of rays in single precision."""
+"""Gap between the relay wall's nominal plane and the clutter before it, far above the rounding of rays
+in single precision."""
 _PLACES_TRIED = 40
-"""With half as many, rooms with much clutter are drawn again more often."""
+"""Places tried for a piece of clutter before the room is drawn again."""
 
 
 @dataclass(frozen=True)
