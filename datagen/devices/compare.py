@@ -48,8 +48,8 @@ from scene_library.meshes import BadMesh, read_mesh
 Group = Literal["hand", "mesh", "zones"]
 GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
 FIT_RAYS = 1 << 12
-"""Rays of a frame's light while it is fitted. The time of a fit grows with them; with 2048 fitted shifts err by 0.2 mm
-more. Frames that test are simulated with `flood.RAYS`."""
+"""Rays of a frame's light while it is fitted. The time of a fit grows with them; with 2048 fitted shifts err by
+0.2 mm more. Frames that test are simulated with `flood.RAYS`."""
 FITTED_FRAMES = 32
 """Most frames of a fit, evenly spread over those that it may see: its time grows with them, and its errors fall with
 their square root."""

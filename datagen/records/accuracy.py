@@ -20,7 +20,7 @@ TARGETS = (1e-4, 1.0)
 CHOSEN_BY_TARGET = ("lookins", "fov_samples", "replicates")
 """The counts that the solver chooses where a target is given."""
 FIRST_FOV_SAMPLES = 16
-"""FoV points for each hidden vertex in the first round of a target; later rounds take a number found by that round."""
+"""FoV points for each hidden vertex in the first round of a target; later rounds take a number that it found."""
 PARTS_PER_TARGET = 2.5
 """Default of `part_target` in units of `target`: an object's light as accurate as the whole transient would cost
 several times as much."""
