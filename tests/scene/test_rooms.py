@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from scipy import stats
 
 from datagen.config import config_from_mapping
 from datagen.config.distributions import support
+from datagen.config.scene_layouts import AnyLayout
 from datagen.records import Part, Scene
 from datagen.scene import generate_scene
 
@@ -28,6 +30,12 @@ from datagen.scene import generate_scene
 def few_rooms(kind: str) -> list[Scene]:
     """Of random settings, with up to four objects."""
     return [random_scene(np.random.default_rng(index), kind, 4, index)[1] for index in range(6)]
+
+
+def test_random_settings_are_those_of_all_layouts() -> None:
+    """A layout that a list forgets would be held to no law."""
+    offered = [layout for layout in get_args(get_args(AnyLayout)[0]) if layout.is_offered]
+    assert {layout.model_fields["kind"].default for layout in offered} == set(LAYOUTS)
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
