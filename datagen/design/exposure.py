@@ -25,6 +25,7 @@ from datagen.design.light import coarse_transient
 from datagen.design.scene_for import without_floors
 from datagen.detector import detector_for
 from datagen.detector.own_light import own_light, squared_over
+from datagen.detector.spad import MAX_CYCLES
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.scene import generate_scene
@@ -106,7 +107,7 @@ def _pilots(config: DatasetConfig, request: ExposureFor) -> Iterator[_Pilot]:
             continue
         capture = capture_for(free, scene, free.seed, index)
         spad, exposure = detector_for(free.detector, free.seed, index, capture.time)
-        longest = replace(exposure, cycles=max(round(request.longest_s * exposure.repetition_rate_hz), 1))
+        longest = replace(exposure, cycles=_most_cycles(request, exposure.repetition_rate_hz))
         transient = coarse_transient(free, index, scene, capture, spad, longest)
         parts, unbounded = [transient.parts[name] for name in scene.objects], replace(spad, counter_max=None)
         blocks = [*own_light(transient.total, parts, transient.time, unbounded, exposure)]
@@ -135,7 +136,8 @@ def _enough_cycles(request: ExposureFor, pilots: list[_Pilot]) -> int:
     if first[weakest] == 0:
         dark = f"of {np.count_nonzero(first == 0)} of {len(first)} objects in pilot scenes no light is detected"
         raise _refused(request, f"{dark}; raise photons_per_pulse or quantile, or move the gate")
-    longest, cycles, sigma = min(request.longest_s * pilot.rate_hz for pilot in pilots), 1.0, first[weakest]
+    rate_hz, cycles, sigma = min(pilot.rate_hz for pilot in pilots), 1.0, first[weakest]
+    longest = _most_cycles(request, rate_hz)
     while sigma < request.evidence * (1 - 1e-6):
         if sigma == 0:
             full = "counters are full before enough of the objects have as much"
@@ -144,12 +146,18 @@ def _enough_cycles(request: ExposureFor, pilots: list[_Pilot]) -> int:
         # be as many as there are bins whose counters get full.
         needed = cycles * max(float(request.evidence / sigma) ** 2, 1.01)
         if needed > longest:
-            seconds = needed * request.longest_s / longest
             remedy = "raise longest_s or photons_per_pulse, or lower evidence"
-            raise _refused(request, f"{seconds:.2g} s would be needed; {remedy}")
-        cycles = min(_rounded_up(needed), max(math.floor(longest), 1))
+            if longest == MAX_CYCLES:
+                remedy = f"no exposure has more than {MAX_CYCLES:g} cycles; raise photons_per_pulse or lower evidence"
+            raise _refused(request, f"{needed / rate_hz:.2g} s would be needed; {remedy}")
+        cycles = min(_rounded_up(needed), longest)
         sigma = significances(cycles)[weakest]
     return round(cycles)
+
+
+def _most_cycles(request: ExposureFor, rate_hz: float) -> int:
+    """Cycles of the longest exposure that may be chosen."""
+    return max(min(math.floor(request.longest_s * rate_hz), MAX_CYCLES), 1)
 
 
 def _rounded_up(cycles: float) -> int:

@@ -95,7 +95,8 @@ def test_detector_effects_off_are_not_there(effect: str) -> None:
     assert gone.get(effect, 0) == 0
     counts = detect(SIGNAL, AXIS, spad, exposure, tolerance=tolerance)
     assert bool(counts.max() > 3) is (effect == "tdc_saturation")
-    assert bool(counts[..., :8].sum() > 0) is (effect == "gate")
+    # The gate opens in bin 10; jitter and the uneven TDC put records a few bins before it.
+    assert bool(counts[..., :6].sum() > 0) is (effect == "gate")
 
 
 def test_forced_settings_need_no_trial_run() -> None:

@@ -89,7 +89,9 @@ def test_light_within_its_claim_agrees_and_other_light_does_not(tiny: Path, tmp_
     agreement = check_agreement(write_dataset(finer, tmp_path / "finer"), known)
     assert 0 < agreement.difference <= agreement.allowed < 0.3
     shorter = config.model_copy(update={"detector": config.detector.model_copy(update={"cycles": 5e5})})
-    with pytest.raises(dg.CheckError, match=r"first 4 scenes are 50\.\d% off those published by datagen .* allow"):
+    with pytest.raises(
+        dg.CheckError, match=r"first 4 scenes are (49|50|51)\.\d% off those published by datagen .* allow"
+    ):
         check_agreement(write_dataset(shorter, tmp_path / "shorter"), known)
 
 

@@ -27,6 +27,9 @@ triangles only touch; both relative to the scene's largest side. Rays of single 
 LIFT = 3.0
 """Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room
 of 10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
+SHORT_OF = 1e-3
+"""Share of a ray before its hit where the surface met is taken to be: far above rounding, and as near as makes no
+difference to what is seen from there."""
 PAIRS, PLACES, LOOKED_FROM, RAYS = 64, 16, 16, 16
 """Most pairs of triangles of two parts that are tried in a plane, most places where light is looked for in it, most
 laser points that it is looked for from, and rays from each place that meet surfaces which may pass it on. They decide
@@ -144,11 +147,11 @@ def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
     places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
     starts = places + 2.0 * side * caster.offset_m * plane.normal
     direct = _seen(caster, starts, sources)
-    hits = caster.closest(
-        np.repeat(starts, RAYS, axis=0), np.tile(_hemisphere(side * plane.normal), (len(starts), 1))
-    )
-    beyond = (hits.position + caster.offset_m * hits.normal)[hits.valid]
-    return direct + _seen(caster, beyond, sources)
+    origins = np.repeat(starts, RAYS, axis=0)
+    hits = caster.closest(origins, np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    # A point of the ray just before its hit: one lifted off the surface may be outside of a solid, at its edge.
+    before = (origins + (1.0 - SHORT_OF) * (hits.position - origins))[hits.valid]
+    return direct + _seen(caster, before, sources)
 
 
 def _seen(caster: Raycaster, places: Floats, sources: Floats) -> int:
