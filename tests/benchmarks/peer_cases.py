@@ -1,4 +1,4 @@
-"""The cases of `datagen bench peers`: rooms and captures, the contenders that compute them, and the truth."""
+"""The cases of `peers.py`: rooms and captures, the contenders that compute them, and the truth."""
 
 from __future__ import annotations
 
