@@ -27,6 +27,9 @@ triangles only touch; both relative to the scene's largest side. Rays of single 
 LIFT = 3.0
 """Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room
 of 10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
+CLEAR = 100.0
+"""Distance to the nearest other surface, in units of `Raycaster.offset_m`, 1 mm in a room of 10 m, under which a
+place is not asked for light: rays of single precision may leak there."""
 SHORT_OF = 1e-3
 """Share of a ray before its hit where the surface met is taken to be: far above rounding, and as near as makes no
 difference to what is seen from there."""
@@ -146,12 +149,15 @@ def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
     """How many lines lead from a side of a plane to the sources of light, directly or by one surface in between."""
     places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
     starts = places + 2.0 * side * caster.offset_m * plane.normal
-    direct = _seen(caster, starts, sources)
     origins = np.repeat(starts, RAYS, axis=0)
     hits = caster.closest(origins, np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    ways = np.where(hits.valid[:, None], hits.position - origins, np.inf)
+    # Rays of a place at the very foot of another surface may begin beyond it.
+    is_clear = (np.linalg.norm(ways, axis=1) > CLEAR * caster.offset_m).reshape(-1, RAYS).all(axis=1)
+    of_clear = hits.valid & np.repeat(is_clear, RAYS)
     # A point of the ray just before its hit: one lifted off the surface may be outside of a solid, at its edge.
-    before = (origins + (1.0 - SHORT_OF) * (hits.position - origins))[hits.valid]
-    return direct + _seen(caster, before, sources)
+    before = origins[of_clear] + (1.0 - SHORT_OF) * ways[of_clear]
+    return _seen(caster, starts[is_clear], sources) + _seen(caster, before, sources)
 
 
 def _seen(caster: Raycaster, places: Floats, sources: Floats) -> int:
