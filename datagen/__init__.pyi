@@ -64,7 +64,6 @@ from .records import Sample as Sample
 from .records import Scene as Scene
 from .records import Sensor as Sensor
 from .records import SinLobe as SinLobe
-from .records import Spend as Spend
 from .records import TimeAxis as TimeAxis
 from .records import Transient as Transient
 from .scene import generate_scene as generate_scene

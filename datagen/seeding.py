@@ -51,6 +51,8 @@ class LightStream(IntEnum):
     CLUSTERS = 64
     PATCHES = 65
     PAIR_CLUSTERS = 66
+    BLOCKS = 80
+    PATHS = 81
     SAMPLED_PATHS = 96
     # The value of `SAMPLED_PATHS`, which adds one number to the hash, not two.
     REFERENCE = 96

@@ -93,7 +93,7 @@ CHART_M = 0.4
 BACKPROJECTION, FK, NETWORK = "filtered backprojection", "f-k migration", "network"
 METHODS = (BACKPROJECTION, FK)
 EXACT = dg.Accuracy(target=0.2, max_bounces=3)
-SAMPLED = dg.Accuracy(lookins=512, fov_samples=1, replicates=2, max_bounces=3)
+SAMPLED = dg.Accuracy(samples=128, max_bounces=3)
 
 
 def grid(side: float) -> Array:

@@ -97,7 +97,7 @@ def light_of(device: Device, plane: tuple[float, float, float]) -> Array:
     slab.apply_translation((distance, 0, 0))
     scene = dg.Scene.from_parts([dg.Part("plane", slab, dg.Lambertian(1.0), role="relay_wall")])
     capture = device.at((0, 0, 0), (1, 0, 0))[0]
-    accuracy = dg.Accuracy(lookins=1, replicates=1, max_bounces=1, direct=True)
+    accuracy = dg.Accuracy(samples=1, max_bounces=1, direct=True)
     return dg.simulate(scene, capture, accuracy).total[0]
 
 

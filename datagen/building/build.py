@@ -200,9 +200,9 @@ def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> 
     errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
     if not errors or (median := statistics.median(errors)) <= NOISY:
         return ""
-    accuracy = config.transport
-    if accuracy.target is None:
-        remedy = f"ask for an error, transport: {{target: 0.05}}, or raise transport.lookins ({accuracy.lookins})"
+    accuracy = config.transport.accuracy()
+    if accuracy.samples is not None:
+        remedy = f"ask for an error, transport: {{target: 0.05}}, or raise transport.samples ({accuracy.samples})"
     else:
         remedy = f"lower transport.target ({accuracy.target:g})"
     scenes = "1 scene" if len(errors) == 1 else f"{len(errors)} scenes"

@@ -54,7 +54,7 @@ def _configured(config: DatasetConfig) -> Iterator[str]:
     bounces = "all bounce orders" if accuracy.max_bounces is None else f"up to {accuracy.max_bounces} bounces"
     how = f"aims at an error of {_percent(accuracy.target or 0.0)}"
     if accuracy.target is None:
-        how = f"{accuracy.lookins} hidden vertices a laser point, {_count(accuracy.fov_samples, 'FoV sample')}"
+        how = f"{_count(accuracy.samples or 0, 'path')} of each pair of laser point and pixel"
     named = "" if config.capture.device is None else f" ({config.capture.device.name})"
     lit = _count(lasers, "laser point")
     if config.capture.illumination == "flood":

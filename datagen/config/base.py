@@ -24,6 +24,8 @@ class Settings(BaseModel):
         validate_default=True,
     )  # fmt: skip
 
+    gone: ClassVar[dict[str, str]] = {}
+    """Keys that earlier versions had → what takes their place."""
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
@@ -76,7 +78,8 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
     if problem == "extra_forbidden":
         parent, models = _place_of(location[:-1], model)
         known = sorted({name for one in models for name in one.model_fields})
-        hint = near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
+        gone = next((one.gone[location[-1]] for one in models if location[-1] in getattr(one, "gone", {})), "")
+        hint = gone or near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
         key = f"{parent}.{location[-1]}" if parent else location[-1]
         return f"{key}: unknown key{f' in {parent!r}' if parent else ''}; {hint}"
     key, models = _place_of(location, model)

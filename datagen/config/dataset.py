@@ -87,11 +87,6 @@ class DatasetConfig(Settings):
                 f"scene.wavelength_nm = {self.scene.wavelength_nm:g} beside capture.device: the light of "
                 f"{device.name} has {device.wavelength_nm:g} nm; leave it out"
             )
-        if self.transport.target is not None and not device.zones.are_even:
-            raise ValueError(
-                f"transport.target = {self.transport.target:g} with capture.device {device.name!r}: a target is met "
-                "for zones of even sensitivity only; give sample counts instead, such as lookins: 1024"
-            )
         # The relay wall's first return would blind a scanning laboratory's detector, so that has to be asked for.
         if device.is_flood and "direct" not in self.transport.model_fields_set:
             self._fill("transport", self.transport.model_copy(update={"direct": True}))

@@ -31,11 +31,8 @@ class EffectsConfig(Settings):
     changes nothing at all is left out."""
     direct_return: Switch = "auto"
     """One and two bounces: the laser point, or a surface it lights, inside the field of view."""
-    secondary_bounce: Annotated[
-        Literal["auto", "on", "off", "strongest"] | Annotated[int, Field(ge=1)], BeforeValidator(_as_word)
-    ] = "auto"
-    """Four bounces. A number k, or `strongest` (k = 1): only the k strongest arriving paths of each hidden
-    vertex, which needs `transport.observed`."""
+    secondary_bounce: Switch = "auto"
+    """Four bounces."""
     higher_bounces: Switch = "auto"
     """Five bounces and more, as far as `transport.max_bounces` goes."""
     attenuation: Switch = "auto"
@@ -66,9 +63,9 @@ class EffectsConfig(Settings):
                 "reaches the next; set pile_up to 'on' or 'auto', or dead_time_across_cycles to 'auto'"
             )
 
-    def of(self, effect: str) -> str | int:
+    def of(self, effect: str) -> str:
         """The setting of an effect by its name in the table. A dead time across cycles that is on turns pile-up
         on."""
-        setting: str | int = getattr(self, effect)
+        setting: str = getattr(self, effect)
         needed = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
         return "on" if needed else setting

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.errors import InputError
 from datagen.records import Accuracy
-from datagen.records.accuracy import CHOSEN_BY_TARGET, LIMITS, MAX_BOUNCES, TARGETS, chosen_by_target
+from datagen.records.accuracy import GONE, LIMITS, MAX_BOUNCES, TARGETS, both_given
 
 
 def _within(name: str) -> Any:
@@ -19,42 +19,29 @@ def _within(name: str) -> Any:
 
 
 class TransportConfig(Settings):
-    """Sample counts and effects; see `datagen.Accuracy`."""
+    """Accuracy and effects; see `datagen.Accuracy`."""
 
-    lookins: Annotated[int, _within("lookins")] = int(Accuracy.lookins)
-    """Rays from each laser point into the scene: the number of hidden vertices."""
-    fov_samples: Annotated[int, _within("fov_samples")] = int(Accuracy.fov_samples)
-    """FoV points that each vertex of a light path connects to, per pixel."""
+    gone: ClassVar[dict[str, str]] = GONE
+
+    target: Annotated[float, _within("target")] | None = None
+    """Relative L2 error of each transient that is aimed at; 0.02 if `samples` are not given either."""
+    samples: Annotated[int, _within("samples")] | None = None
+    """Plain paths of each order for each pair of laser point and pixel, instead of a target."""
     max_bounces: Annotated[int, Field(ge=3, le=MAX_BOUNCES)] | None = Accuracy.max_bounces
     """Highest number of bounces; 3 is the primary, 4 adds the secondary; null: all."""
-    replicates: Annotated[int, _within("replicates")] = int(Accuracy.replicates)
-    """Independent randomisations, from which the standard error comes."""
-    observed: Annotated[int, _within("observed")] | None = None
-    """Second hidden vertices for each hidden vertex: the secondary in the factorised form; left out: by path
-    tracing."""
-    secondary: Literal["all", "none", "strongest"] | Annotated[int, Field(ge=1)] = "all"
-    """All secondary paths, none, or only the strongest (or k strongest) of each hidden vertex, which needs
-    `observed`."""
     direct: bool = False
     """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out. True unless
     given with a `capture.device` that lights all at once, which looks straight at things."""
-    target: Annotated[float, _within("target")] | None = None
-    """Largest relative L2 error of each transient: then the sample counts are chosen, and may not be given."""
     part_target: Annotated[float, _within("part_target")] | None = None
-    """With `target`: largest relative L2 error of each object's own primary; left out: 2.5 times the target, at most
-    1."""
-    max_lookins: Annotated[int, _within("max_lookins")] = Accuracy.max_lookins
-    """With `target`: give up before more rays than this, over all components, leave the average laser point."""
+    """With `target`: relative L2 error of each object's own primary that is aimed at; left out: 2.5 times the target,
+    at most 1."""
 
     def accuracy(self) -> Accuracy:
         """The record of this section that `simulate` takes."""
-        others = ("target", "part_target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
-        return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields if name not in others})
+        return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields})
 
     def _check(self) -> None:
-        if self.part_target is not None and self.target is None:
-            raise InputError(f"part_target = {self.part_target}: needs a target; set target, too")
-        if self.target is not None:
-            for name in self.changed(*CHOSEN_BY_TARGET):
-                raise InputError(chosen_by_target("", name, getattr(self, name)))
-        self.accuracy()
+        if self.target is not None and self.samples is not None:
+            raise InputError(both_given("", self.target, self.samples))
+        if self.part_target is not None and self.samples is not None:
+            raise InputError(f"part_target = {self.part_target}: needs a target; set target, not samples")

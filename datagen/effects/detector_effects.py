@@ -163,7 +163,7 @@ def _without_pile_up(given: Detection) -> Detection:
     return given.with_spad(dead_time_s=0.0, paralyzable=False)
 
 
-def _exactly(given: Detection, setting: str | int) -> Detection:
+def _exactly(given: Detection, setting: str) -> Detection:
     """The detection with exact samplers only."""
     return replace(given, tolerance=0.0)
 

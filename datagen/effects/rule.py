@@ -43,7 +43,7 @@ class Effect(Generic[Given]):
     without: Callable[[Given], Given]
     change: Callable[[Given], Change] | None = None
     saves: float = 0.0
-    always: Callable[[Given, str | int], Given] = lambda given, setting: given
+    always: Callable[[Given, str], Given] = lambda given, setting: given
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Decision:
 
     Attributes
     ----------
-    setting : setting of the configuration: auto, on, off (or a number of strongest paths).
+    setting : setting of the configuration: auto, on or off.
     simulated : whether the effect is simulated.
     estimate : `Change.value`; None also if the change was not estimated.
     kind : that of `Change`; or `always` if leaving it out saves nothing, `forced` if the setting decides, `absent` if
@@ -61,7 +61,7 @@ class Decision:
     """
 
     effect: str
-    setting: str | int
+    setting: str
     simulated: bool
     estimate: float | None
     kind: Kind
@@ -75,7 +75,7 @@ class Decision:
 
 
 def decide(
-    rows: Iterable[Effect[Given]], given: Given, setting_of: Callable[[str], str | int], tolerance: float
+    rows: Iterable[Effect[Given]], given: Given, setting_of: Callable[[str], str], tolerance: float
 ) -> tuple[Decision, ...]:
     """The decisions on the effects of one stage, in the order of the table.
 
@@ -95,7 +95,7 @@ def decide(
     return tuple(decisions[row.name] for row in rows)
 
 
-def _decided(row: Effect[Given], given: Given, setting: str | int, allowance: float) -> Decision:
+def _decided(row: Effect[Given], given: Given, setting: str, allowance: float) -> Decision:
     """The decision on one effect, which may change the result by `allowance`."""
     if not row.present(given):
         return Decision(row.name, setting, False, 0.0, "absent", allowance, "there is none")

@@ -13,7 +13,7 @@ from datagen.effects.rule import Change, Effect
 from datagen.effects.trial import Trial, affordable, run_trial
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.clearance import flat_patch, pyramids_clear
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
@@ -153,7 +153,7 @@ def _without_secondary(given: Transport) -> Transport:
     """The transport without light of four bounces."""
     if given.accuracy.max_bounces == 4:
         return given.with_accuracy(max_bounces=3)
-    return given.with_accuracy(secondary="none")
+    return given.with_accuracy(secondary=False)
 
 
 TRANSPORT_EFFECTS: tuple[Effect[Transport], ...] = (
@@ -164,13 +164,12 @@ TRANSPORT_EFFECTS: tuple[Effect[Transport], ...] = (
     # Scholes & Leach, Sensors 24, 6522 (2024), Eq. 8.
     Effect(
         "secondary_bounce", "secondary bounce",
-        lambda g: g.highest_order >= 4 and g.accuracy.secondary != "none", _without_secondary,
+        lambda g: g.highest_order >= 4 and g.accuracy.secondary, _without_secondary,
         lambda g: _measured(g, "secondary", "four bounces"), 0.7,
-        lambda g, setting: g if setting == "on" else g.with_accuracy(secondary=setting),
     ),
     Effect(
         "higher_bounces", "higher bounces", lambda g: g.highest_order >= 5,
-        lambda g: g.with_accuracy(max_bounces=3 if g.accuracy.secondary == "none" else 4),
+        lambda g: g.with_accuracy(max_bounces=4 if g.accuracy.secondary else 3),
         lambda g: _measured(g, "higher", "five bounces and more"), 0.8,
     ),
     Effect(

@@ -18,17 +18,16 @@ by farthest-point sampling (Gonzalez, Theoretical Computer Science 38 (1985)).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport import transient_of
-from datagen.transport.error_control.cost import RAY
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
 SHARE = 0.02
@@ -56,11 +55,9 @@ class Trial:
     """The light of both runs.
 
     components : name of a component → (2, channel, bin) photons at the aperture per emitted photon.
-    pixels : number of channels that share their paths, as all pixels of a laser point do.
     """
 
     components: Mapping[str, Floats]
-    pixels: int = 1
 
     def share(self, name: str) -> float | None:
         """Upper estimate of ‖x‖ / ‖T‖ for a component x, at most 1; None if T is lost in noise.
@@ -80,7 +77,7 @@ class Trial:
         if below.sum() <= 0:
             return None
         if not x.any():
-            return min(MOST_UNSEEN * self.pixels / np.count_nonzero(total), 1.0)
+            return min(MOST_UNSEEN / np.count_nonzero(total), 1.0)
         square = above.sum() / below.sum()
         # A component is never more than the whole.
         return min(float(np.sqrt(square + 3 * _jackknife(above, below, square))), 1.0)
@@ -97,38 +94,34 @@ def _jackknife(above: Floats, below: Floats, ratio: float) -> float:
 
 
 def _paths(capture: Capture, accuracy: Accuracy) -> float:
-    """Paths of each of two runs that together cost as much as one order of the transport, in shadow rays."""
-    pixels = capture.shape[1]
-    cost = len(capture.laser.targets) * accuracy.lookins * (RAY + pixels * accuracy.fov_samples)
-    return cost / (2 * (RAY + min(pixels, PIXELS)))
+    """Paths of the transport, half as many as both runs of a trial may share; infinite with a target."""
+    pairs = len(capture.laser.targets) * capture.shape[1]
+    return math.inf if accuracy.samples is None else 0.5 * accuracy.samples * pairs
 
 
 def affordable(capture: Capture, accuracy: Accuracy) -> bool:
     """Whether the smallest trial run costs at most `LARGEST_SHARE` of the transport; always true with a target."""
-    return accuracy.target is not None or LARGEST_SHARE * _paths(capture, accuracy) >= FEWEST_PATHS
+    return LARGEST_SHARE * _paths(capture, accuracy) >= FEWEST_PATHS
 
 
 def run_trial(
     scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster, points: LaserPoints
 ) -> Trial:
     """Two independent simulations of a few channels of the capture, with all orders from three bounces on."""
-    paths = MOST_PATHS if accuracy.target is not None else SHARE * _paths(capture, accuracy)
-    lasers, pixels = trial_channels(capture, points)
-    each = max(int(np.clip(paths, FEWEST_PATHS, MOST_PATHS)) // len(lasers), 1)
-    few, channels = replace(few_samples(accuracy, each), direct=False), capture.excerpt(lasers, pixels)
+    channels = capture.excerpt(*trial_channels(capture, points))
+    count = len(channels.laser.targets) * channels.shape[1]
+    each = max(int(np.clip(SHARE * _paths(capture, accuracy), FEWEST_PATHS, MOST_PATHS)) // count, 1)
+    few = replace(few_samples(accuracy, each), direct=False)
     runs = [
         transient_of(scene, channels, few, seed=(seed + k) % 2**64, split_parts=False, caster=caster).components
         for k in range(2)
     ]
-    light = {name: np.stack([run[name].reshape(-1, capture.shape[2]) for run in runs]) for name in runs[0]}
-    return Trial(light, channels.shape[1])
+    return Trial({name: np.stack([run[name].reshape(-1, capture.shape[2]) for run in runs]) for name in runs[0]})
 
 
 def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
-    """The accuracy of a trial run: so many hidden vertices, and one of every other kind of sample."""
-    secondary: Literal["none", "all"] = "none" if accuracy.secondary == "none" else "all"
-    kept = {"max_bounces": accuracy.max_bounces, "direct": accuracy.direct, "occlusion": accuracy.occlusion}
-    return Accuracy(lookins=samples, fov_samples=1, replicates=1, secondary=secondary, **kept)  # type: ignore[arg-type]
+    """The accuracy of a trial run: so many paths of each pair of laser point and pixel."""
+    return replace(accuracy, target=None, part_target=None, samples=samples)
 
 
 def trial_channels(capture: Capture, points: LaserPoints) -> tuple[Ints, Ints]:

@@ -27,7 +27,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
 from datagen.transport.geometry import get, subtract, transmittance
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.quadrature.weights import weight
 from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
 from datagen.units import path_from_time

@@ -19,18 +19,16 @@ import numpy as np
 
 from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
-from datagen.transport.brdf import MaterialTable
+from datagen.transport import transient_of
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.flood import as_scan, sum_of_flood
-from datagen.transport.path_tracing.averages import path_average
-from datagen.transport.path_tracing.vertices import LaserPoints
-from datagen.transport.simulate import prepared
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.raycast import Raycaster
 
-SAMPLES, FOV_SAMPLES = 1024, 16
-"""Hidden vertices and points of a footprint if the accuracy states a target instead. Light of one bounce is exact
-with any number; two and three bounces are far fainter."""
+SAMPLES = 1024
+"""Paths of each pair of laser point and pixel where the accuracy states a target. Light of one bounce is exact with any
+number; two and three bounces are far fainter."""
 LINES_ALONG = 9
 """Lines of sight along each side of a pixel that search for objects in it; rays to triangles find smaller ones."""
 MOST_RAYS = 4096
@@ -51,27 +49,26 @@ def light_in_sight(
     in_sight = objects_in_sight(scene, capture, caster)
     if not in_sight:
         return {}
-    fixed = accuracy.target is None
-    samples = Accuracy(
-        lookins=accuracy.lookins if fixed else SAMPLES, fov_samples=accuracy.fov_samples if fixed else FOV_SAMPLES,
-        replicates=1, max_bounces=3, direct=accuracy.direct, secondary="none", occlusion=accuracy.occlusion,
-    )  # fmt: skip
+    asked = Accuracy(samples=accuracy.samples or SAMPLES, max_bounces=3, direct=accuracy.direct)
     flood = capture.illumination == "flood"
     scan = as_scan(capture) if flood else capture
-    task = prepared(scene, scan, samples, seed, split_parts=True, caster=caster)
-    whole, light = path_average(task).rows, dict[str, Floats]()
+    whole, light = _rows(scene, scan, asked, seed, caster), dict[str, Floats]()
     for name in in_sight:
         k = scene.part_names.index(name)
         black = replace(scene, materials=(*scene.materials[:k], Lambertian(0.0), *scene.materials[k + 1 :]))
-        rest = path_average(replace(task, scene=black, materials=MaterialTable.of(black.materials))).rows
-        own = np.zeros_like(whole[0])
-        for row, (with_it, without) in enumerate(zip(whole, rest, strict=True)):
-            # The row of the object itself is `parts[object]`, which the transient knows with a smaller error.
-            if row != k:
-                own += with_it - without
+        rest = _rows(black, scan, asked, seed, caster)
+        # The row of the object itself is `parts[object]`, which the transient knows with a smaller error.
+        own = sum((whole[row] - rest[row] for row in whole if row != name), start=np.zeros(scan.shape))
         np.maximum(own, 0.0, out=own)
         light[name] = sum_of_flood(own, capture) if flood else own
     return light
+
+
+def _rows(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster) -> dict[str, Floats]:
+    """Light (L, P, T) of three bounces by part, and direct light under the name ""."""
+    found = transient_of(scene, capture, accuracy, seed, caster=caster)
+    direct = {"": found.components["direct"]} if accuracy.direct else {}
+    return {**found.parts, **direct}
 
 
 def objects_in_sight(scene: Scene, capture: Capture, caster: Raycaster) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from datagen.transport.brdf import Vector
 from datagen.transport.brdf.sin_lobe import azimuth_sine
 from datagen.transport.factorised.convolution import Paths
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 

@@ -3,11 +3,11 @@
 from datagen.records.accuracy import Accuracy
 from datagen.records.capture import Capture, Laser, Origin, Pairing, Sensor, TimeAxis
 from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
-from datagen.records.sample import OnSurfaces, Sample, Scalar, Spend, Transient
+from datagen.records.sample import OnSurfaces, Sample, Scalar, Transient
 from datagen.records.scene import Part, Pose, Rectangle, Role, Scene
 
 __all__ = [
     "GGX", "Accuracy", "Capture", "Lambertian", "Laser", "Material", "OnSurfaces", "OrenNayar", "Origin", "Pairing",
     "Part", "Phong", "Pose", "Rectangle", "Retroreflector", "Role", "Sample", "Scalar", "Scene", "Sensor", "SinLobe",
-    "Spend", "TimeAxis", "Transient",
+    "TimeAxis", "Transient",
 ]  # fmt: skip

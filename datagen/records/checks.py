@@ -36,10 +36,10 @@ def check_seed(value: object) -> None:
         raise InputError(f"seed = {shown(value)}: must be an integer in 0 … 2^64 − 1")
 
 
-def check_flag(name: str, value: object) -> None:
+def check_flag(name: str, value: object, remedy: str = "") -> None:
     """Raise `InputError` unless `value` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{name} = {shown(value)}: must be True or False")
+        raise InputError(f"{name} = {shown(value)}: must be True or False{f'; {remedy}' if remedy else ''}")
 
 
 def check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:

@@ -23,63 +23,6 @@ SCAN_PLACE = ("labels.scan_right_m", "labels.scan_up_m")
 """Parameters of a sample: metres right and up from the middle of its label images to the middle of its scan."""
 
 
-@dataclass(frozen=True)
-class Spend:
-    """Cost report of a transient: where its work went.
-
-    Attributes
-    ----------
-    lookins : component → hidden vertices of a laser point (average over the laser points, sum over the replicates),
-        or surface elements where the component comes from those. Components from the same traced paths share the
-        number.
-    share : component → fraction of the cost; all add up to 1. Components from the same traced paths have equal ones.
-    way : component → method: "cells" (quadrature over surface elements), "walk" (path tracing), "factorised", or
-        "walk + factorised" where each finds a part of the secondary.
-    fov_samples : component → FoV points for each vertex and pixel.
-    rounds : passes over the scene; 1 for fixed sample counts.
-    cost : all work, counted in units of one connection with its shadow ray (`transport/error_control/cost.py`).
-    outcome : why the simulation ended, in words.
-    second_opinion : how unbiased samples agree with light from surface elements, in words; empty without such light.
-
-    Raises
-    ------
-    InputError : values of other types, or components that are not the same throughout.
-    """
-
-    lookins: Mapping[str, float]
-    share: Mapping[str, float]
-    way: Mapping[str, str]
-    fov_samples: Mapping[str, int]
-    rounds: int
-    cost: float
-    outcome: str
-    second_opinion: str = ""
-
-    def __post_init__(self) -> None:
-        for name in ("lookins", "share", "fov_samples"):
-            check_mapping(f"Spend.{name}", getattr(self, name), *_NUMBERS, remedy="component → number")
-        check_mapping("Spend.way", self.way, str, remedy="component → way")
-        for name in ("share", "way", "fov_samples"):
-            if set(getattr(self, name)) != set(self.lookins):
-                raise InputError(
-                    f"Spend.{name}: of {', '.join(getattr(self, name)) or 'nothing'}, Spend.lookins of "
-                    f"{', '.join(self.lookins) or 'nothing'}; all have the same components"
-                )
-        check_integer("Spend", "rounds", self.rounds, 0, 2**53)
-        check_number("Spend", "cost", self.cost, 0.0, np.inf, "connections")
-        check_kind("Spend.outcome", self.outcome, str)
-        check_kind("Spend.second_opinion", self.second_opinion, str)
-
-    def parameters(self) -> dict[str, Scalar]:
-        """The report as flat scalars: `primary.lookins`, `primary.share` … `rounds`, `cost`, `outcome` and others."""
-        flat: dict[str, Scalar] = {}
-        for name, lookins in self.lookins.items():
-            flat |= {f"{name}.lookins": lookins, f"{name}.share": self.share[name], f"{name}.way": self.way[name]}
-            flat[f"{name}.fov_samples"] = self.fov_samples[name]
-        flat |= {"rounds": self.rounds, "cost": self.cost, "outcome": self.outcome}
-        return flat | ({"second_opinion": self.second_opinion} if self.second_opinion else {})
-
-
 @dataclass(frozen=True, repr=False)
 class Transient:
     """Expected photons at the aperture per emitted photon and time bin, as an impulse response.
@@ -95,15 +38,16 @@ class Transient:
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. For a flood L here is
         the number of its points, and 1 in the other arrays.
     seconds : wall-clock seconds of the simulation by stage.
-    rays : number of connections from vertices to FoV points that could carry energy: "asked", tested by a shadow ray,
-        or "assumed" to be visible (`Accuracy.occlusion = "off"`); empty where no paths were traced.
-    spend : cost report; None where nothing was counted.
-    error_bound : with an accuracy target, the upper confidence bound of the relative L2 error that was compared with
-        the target; None with fixed sample counts.
-    met_target : whether target and part target are met; None with fixed sample counts.
+    error_bound : with an accuracy target, the relative L2 error that is claimed: an estimate; None with a number of
+        samples.
+    met_target : whether the claimed error is within a quarter of the target, and each object's within the part
+        target; None with a number of samples.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
         than `Accuracy.faint_part` are left out, and all parts where the primary is sampled (narrow lobes). The error
         is above the part target where an object is so nearly hidden that its light was not worth the rays.
+    samplers : component → how its light was found: "quadrature", "blocks" or "paths" (docs/physics.md).
+    rays : component → rays, and surface elements, that its light took.
+    second_opinion : how unbiased samples agree with light by quadrature, in words; empty without such light.
 
     Raises
     ------
@@ -117,11 +61,12 @@ class Transient:
     overflow: Floats
     laser_points: Floats
     seconds: Mapping[str, float] = field(default_factory=dict)
-    rays: Mapping[str, int] = field(default_factory=dict)
-    spend: Spend | None = None
     error_bound: float | None = None
     met_target: bool | None = None
     part_errors: Mapping[str, float] = field(default_factory=dict)
+    samplers: Mapping[str, str] = field(default_factory=dict)
+    rays: Mapping[str, float] = field(default_factory=dict)
+    second_opinion: str = ""
 
     def __post_init__(self) -> None:
         check_kind("Transient.time", self.time, TimeAxis)
@@ -137,9 +82,10 @@ class Transient:
         check_reals("Transient.stderr", self.stderr, shape)
         check_reals("Transient.overflow", self.overflow, shape[:2])
         check_reals("Transient.laser_points", self.laser_points, (None, 3))
-        for name, what in (("seconds", "stage"), ("rays", "kind"), ("part_errors", "part")):
+        for name, what in (("seconds", "stage"), ("rays", "component"), ("part_errors", "part")):
             check_mapping(f"Transient.{name}", getattr(self, name), *_NUMBERS, remedy=f"{what} → number")
-        check_kind("Transient.spend", self.spend, Spend, type(None))
+        check_mapping("Transient.samplers", self.samplers, str, remedy="component → sampler")
+        check_kind("Transient.second_opinion", self.second_opinion, str)
         if self.error_bound is not None:
             check_kind("Transient.error_bound", self.error_bound, *_NUMBERS)
         if self.met_target is not None:
@@ -162,7 +108,7 @@ class Transient:
 
     @property
     def relative_error(self) -> float:
-        """Relative L2 error of the whole transient: with a target its upper bound, else the estimate
+        """Relative L2 error of the whole transient: with a target the one claimed, else the estimate
         ‖stderr‖ / ‖total‖; 0 for a transient without light."""
         if self.error_bound is not None:
             return self.error_bound

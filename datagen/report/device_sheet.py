@@ -27,7 +27,7 @@ from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 PLACE = np.array([0.0, 0.0, 0.5])
 """Where every device stands in the room, its axis along x."""
-ACCURACY = Accuracy(lookins=64, fov_samples=1, replicates=2, max_bounces=3, direct=True)
+ACCURACY = Accuracy(samples=64, max_bounces=3, direct=True)
 """Light of one bounce is integrated over beams; that of three, far fainter, only has to be of the right size."""
 VIEW = (0.78, 0.62)
 """Tangents of half the width and height of the pictures: wider than the field of any device of the catalogue."""

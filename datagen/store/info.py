@@ -124,17 +124,15 @@ def _accuracy(made: Parameters) -> list[str]:
     lines = [f"relative error of the transients: median {statistics.median(errors):.4f}, largest {max(errors):.4f}"]
     targeted = [bool(scene["transient.target_met"]) for scene in made if "transient.target_met" in scene]
     if targeted:
-        lines.append(
-            f"  target met in {sum(targeted)} of {len(targeted)} scenes (upper bounds of the error, at 95 %)"
-        )
-    shares: dict[str, list[float]] = {}
+        lines.append(f"  target met in {sum(targeted)} of {len(targeted)} scenes (errors as estimated)")
+    rays: dict[str, list[float]] = {}
     for scene in made:
         for name, value in scene.items():
-            if name.startswith("transport.spend.") and name.endswith(".share"):
-                shares.setdefault(name.split(".")[2], []).append(float(value))
-    if shares:
-        parts = (f"{name} {statistics.median(values):.0%}" for name, values in shares.items())
-        lines.append("  share of the transport's cost (median): " + ", ".join(parts))
+            if name.startswith("transport.rays."):
+                rays.setdefault(name.removeprefix("transport.rays."), []).append(float(value))
+    if rays:
+        parts = (f"{name} {statistics.median(values):.2g}" for name, values in rays.items())
+        lines.append("  rays of the transport (median): " + ", ".join(parts))
     return lines
 
 

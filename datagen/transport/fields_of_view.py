@@ -16,15 +16,12 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.sampling import scrambled_sobol
 from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.raycast import Raycaster
 
 
 class FovPool(NamedTuple):
-    """Q FoV points for each of P pixels, in blocks of M points; each block covers the whole pixel.
-
-    sets : number of independent sets with equally many blocks, one after the other; a replicate uses one set.
+    """Q FoV points for each of P pixels, M of which stand for a whole pixel.
 
     position, normal, to_sensor : (P, Q, 3) metres; unit normal facing the sensor; unit direction to the sensor.
     part : (P, Q) part index, −1 where the line of sight meets nothing.
@@ -41,17 +38,6 @@ class FovPool(NamedTuple):
     weight: Floats
     footprint: Floats
     last_leg: Floats
-    sets: int = 1
-
-    def side_by_side(self, sets: int) -> FovPool:
-        """The same points as a pool (P, sets · Q) of `sets` sets, from this pool (sets · P, Q), set after set."""
-        pixels = len(self.weight) // sets
-
-        def joined(values: NDArray[Any]) -> NDArray[Any]:
-            apart = values.reshape(sets, pixels, *values.shape[1:])
-            return np.ascontiguousarray(apart.swapaxes(0, 1)).reshape(pixels, -1, *values.shape[2:])
-
-        return FovPool._make([*(joined(values) for values in self[:-1]), sets])
 
 
 class PixelCones(NamedTuple):
@@ -104,47 +90,25 @@ class PixelCones(NamedTuple):
         return PixelCones(self.planes[pixels], self.solid_angle[pixels])
 
 
-NEGLIGIBLE_SHARE = 0.05
-"""Share of a FoV point's footprint up to which a connection counts whole; where it fills more, rays of the vertex
-take part (`path_tracing/connections.py`). Half of it sends more rays for little less noise."""
-
-
 class PixelPatches(NamedTuple):
     """The patch of wall that each of P pixels sees, roughly, from a fixed 3 × 3 grid of lines of sight.
 
     center : (P, 3), radius : (P,) a sphere about the patch, m (infinite where a line of sight meets nothing).
-    reach : (P,) distance from the centre within which a hidden vertex could overfill a footprint, so that its ray
-        counts, too, m. As it depends on positions alone, the mean is the same for any reach.
     """
 
     center: Floats
     radius: Floats
-    reach: Floats
 
     @classmethod
-    def of(cls, caster: Raycaster, sensor: Sensor, cones: PixelCones, points_per_vertex: int) -> PixelPatches:
-        """The patches of a sensor's pixels, for vertices that connect with `points_per_vertex` FoV points of each."""
+    def of(cls, caster: Raycaster, sensor: Sensor) -> PixelPatches:
+        """The patches of a sensor's pixels."""
         lines = lines_of_sight(caster, sensor, 3)
-        w, valid = lines.inner, lines.valid
-        position = np.where(valid[..., None], lines.met.position.reshape(w.shape), np.inf)
-        distance = np.linalg.norm(position - sensor.position, axis=2)
-        direction = w / np.linalg.norm(w, axis=2, keepdims=True)
-        cosine = np.abs(np.einsum("pqk,pqk->pq", lines.normal, direction))
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        position = np.where(lines.valid[..., None], lines.met.position.reshape(lines.inner.shape), np.inf)
+        with np.errstate(invalid="ignore", over="ignore"):
             center = position.mean(axis=1)
             radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
-            footprint = (cones.solid_angle[:, None] * distance**2 / (cosine * points_per_vertex)).max(axis=1)
-        complete = valid.all(axis=1) & np.isfinite(radius) & np.isfinite(footprint)
-        reach = radius + np.sqrt(footprint / (np.pi * NEGLIGIBLE_SHARE))
-        return cls(
-            np.where(complete[:, None], center, 0.0),
-            np.where(complete, radius, np.inf),
-            np.where(complete, reach, np.inf),
-        )
-
-    def take(self, pixels: Ints) -> PixelPatches:
-        """The patches of some pixels."""
-        return PixelPatches(self.center[pixels], self.radius[pixels], self.reach[pixels])
+        complete = lines.valid.all(axis=1) & np.isfinite(radius)
+        return cls(np.where(complete[:, None], center, 0.0), np.where(complete, radius, np.inf))
 
 
 def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
@@ -153,15 +117,6 @@ def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
     triple = np.einsum("pk,pk->p", a, np.cross(b - a, c - a))
     dots = 1 + sum(np.einsum("pk,pk->p", x, y) for x, y in ((a, b), (b, c), (c, a)))
     return np.asarray(2 * np.arctan2(triple, dots))
-
-
-def fov_pool(
-    caster: Raycaster, scene: Scene, sensor: Sensor, cones: PixelCones, pixels: Ints, points_per_vertex: int,
-    blocks: int, seeds: NDArray[np.uint64],
-) -> FovPool:  # fmt: skip
-    """Quasi-random FoV points, `blocks` blocks of `points_per_vertex` for each of `pixels`; (P,) seeds."""
-    uv = scrambled_sobol(seeds, blocks * points_per_vertex, 2)
-    return fov_points(caster, scene, sensor, cones, pixels, uv, points_per_vertex)
 
 
 def fov_points(

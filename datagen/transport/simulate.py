@@ -1,36 +1,38 @@
-"""Light transport: from scene and capture to transient, and the choice of the integrator.
+"""Light transport: from scene and capture to transient, and the choice of the sampler.
 
-With a target (`Accuracy.target`) `error_control/meet_target.py` chooses: quadrature where that is possible, sampled
-paths for the rest. With sample counts path tracing (`path_tracing/`) computes all components. The one exception is
-the secondary: its factorised form (`factorised/`) is used if `Accuracy.observed` asks for it, or if path tracing
-would seldom meet the surfaces that the secondary comes from.
+With a number of samples (`Accuracy.samples`) all light comes by plain paths. With a target the primary comes by
+quadrature (`error_control/primary.py`) where that is possible, four bounces and more by blocks (`blocks.py`), and
+direct light and what these leave by plain paths; `effort.py` decides how much of each.
 """
 
 from __future__ import annotations
 
+import math
 import time as clock_time
-from dataclasses import replace
-from functools import cache, partial
+from collections.abc import Sequence
+from functools import reduce
+from typing import NamedTuple
 from warnings import warn
 
 import numpy as np
 
-from datagen.errors import InputError, InputWarning
-from datagen.records import Accuracy, Capture, Scene, Spend, Transient
-from datagen.records.arrays import Bools, Ints
+from datagen.errors import InputWarning
+from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.records.checks import check_kind, check_seed
+from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.error_control.meet_target import meet_target
-from datagen.transport.error_control.stratum import OBSERVED
-from datagen.transport.error_control.surroundings import CONTACT, surroundings
-from datagen.transport.factorised.secondary import factorising, secondary_transient
-from datagen.transport.fields_of_view import PixelCones, PixelPatches
+from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
+from datagen.transport.error_control.primary import PrimaryLight, primary_by_quadrature
 from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
-from datagen.transport.path_tracing.averages import Average, Estimate, path_average, rays_of, split_rows
-from datagen.transport.path_tracing.vertices import AreaTarget, LaserPoints
-from datagen.transport.problem import Problem, TallyRows, components_asked
+from datagen.transport.laser_points import LaserPoints
+from datagen.transport.path_light import PathsOf, with_samples
+from datagen.transport.problem import Estimate, Problem, nothing
 from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.raycast import Raycaster
+
+MET = 1.25
+"""Claimed error over target up to which a target counts as met: it is aimed at, and a claim is an estimate."""
 
 
 def simulate(
@@ -44,13 +46,12 @@ def simulate(
 
         L = ∫∫ f₁ cosθ₁ cosθ₂ V₁₂/R₁₂² · f₂ · cosθ₂′ cosθ₃ V₂₃/R₂₃² · f₃ cosθ₃′ V₃ₛ A/R₃ₛ² dA₂ dA₃
 
-    and each further bounce adds a surface between x₂ and x₃. Light is traced from the laser point; every vertex is
-    connected with FoV points, which gives all orders at once (the secondary is that of Eq. 8, all paths).
+    and each further bounce adds a surface between x₂ and x₃ (the secondary is that of Eq. 8, all paths).
 
     Parameters
     ----------
     scene, capture : what is looked at, and how.
-    accuracy : sample counts and effects, or the error to be met; default `Accuracy()`.
+    accuracy : the error that is aimed at, or a number of samples, and the orders of light; default `Accuracy()`.
     seed : any integer ≥ 0; the same arguments and seed give the same transient.
     split_parts : also keep the primary split by part (`Transient.parts`), K times the memory for K parts.
 
@@ -62,8 +63,7 @@ def simulate(
 
     Raises
     ------
-    InputError : for a pixel that is no convex quadrilateral, a negative seed, an argument of another type, or a
-        target for a sensor with footprints (`Sensor.footprints`), which needs sample counts.
+    InputError : for a pixel that is no convex quadrilateral, a negative seed, or an argument of another type.
 
     Warns
     -----
@@ -82,7 +82,7 @@ def simulate(
     >>> laser = dg.Laser((2, -1, 1), [(0, -0.2, 1)])
     >>> sensor = dg.Sensor.grid((2, -1, 1), (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=2)
     >>> capture = dg.Capture(laser, sensor, dg.TimeAxis(bins=200, width_s=1e-10, origin="wall"))
-    >>> t = dg.simulate(scene, capture, dg.Accuracy(lookins=1024, max_bounces=4), seed=0)
+    >>> t = dg.simulate(scene, capture, dg.Accuracy(target=0.05, max_bounces=4), seed=0)
     >>> t.total.shape, sorted(t.components), bool(t.parts["box"].sum() > 0)
     ((1, 2, 200), ['primary', 'secondary'], True)
     """
@@ -91,11 +91,6 @@ def simulate(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
-    if capture.sensor.footprints is not None and accuracy.target is not None:
-        raise InputError(
-            f"Accuracy.target = {accuracy.target:g} with Sensor.footprints: a target is met for pixels of even "
-            "sensitivity only; give sample counts instead, such as Accuracy(lookins=1024, fov_samples=4)"
-        )
     apart = set_apart(scene, capture)
     if apart.warning:
         warn(f"simulate: {apart.warning}", InputWarning, stacklevel=2)
@@ -155,82 +150,95 @@ def transient_of(
             first = one_bounce_of_beam(scene, capture, caster, MaterialTable.of(scene.materials))
         return flooded(one_by_one, capture, first, scene.part_names if split_parts else ())
     began = clock_time.perf_counter()
-    problem = prepared(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
+    problem = Problem.of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()
-    if accuracy.target is not None:
-        estimate, traced = meet_target(problem), clock_time.perf_counter()
+    if not (problem.points.part >= 0).any():
+        found = nothing(problem)
     else:
-        average = path_average(problem)
-        traced = clock_time.perf_counter()
-        estimate = _with_factorised(problem, average)
-    finished = clock_time.perf_counter()
-    seconds = {"prepare": ready - began, "trace": traced - ready, "secondary": finished - traced}
-    return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(estimate))
+        found = with_samples(problem) if accuracy.target is None else _to_target(problem)
+    seconds = {"prepare": ready - began, "trace": clock_time.perf_counter() - ready}
+    return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(found))
 
 
-def prepared(
-    scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, *, split_parts: bool,
-    caster: Raycaster | None = None,
-) -> Problem:  # fmt: skip
-    """The problem that the integrators of `simulate` solve."""
-    caster = Raycaster(scene) if caster is None else caster
-    materials = MaterialTable.of(scene.materials)
-    cones = PixelCones.of(capture.sensor)
-    points = LaserPoints.of(caster, scene, capture.laser)
-    splits = TallyRows(scene.part_names if split_parts else (), components_asked(accuracy), len(scene.part_names))
-    problem = Problem(
-        scene, capture, accuracy, caster, materials, cones,
-        PixelPatches.of(caster, capture.sensor, cones, accuracy.fov_samples), points,
-        cache(partial(AreaTarget.choose, caster, scene, materials, points, seed)), seed, splits,
-        _walked(accuracy, materials),
+def _to_target(problem: Problem) -> Estimate:
+    """The light of all components to a target: the primary by quadrature, four bounces and more by blocks, direct
+    light and what these leave by plain paths."""
+    accuracy, components = problem.accuracy, problem.components
+    assert accuracy.target is not None
+    others = [name for name in components if name != "primary"]
+    primary: PrimaryLight | str = ""
+    if "primary" in components and problem.capture.sensor.footprints is None:
+        # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
+        primary = primary_by_quadrature(problem, accuracy.target * math.sqrt(1 / (1 + len(others))))
+    if isinstance(primary, PrimaryLight):
+        return _joined(problem, primary, _sampled(problem, others, reduce(np.add, primary.rows), primary.error))
+    return _joined(problem, primary, _sampled(problem, components, np.zeros(problem.capture.shape), 0.0))
+
+
+def _sampled(problem: Problem, components: Sequence[str], known: Floats, error: float) -> _Samples:
+    """Some components by samples, beside the `known` light (L, P, T), which has the L2 error `error`."""
+    bins, target = problem.capture.time.bins, problem.accuracy.target
+    known = known.reshape(-1, bins)
+    blocks = Blocks(problem) if "secondary" in components or "higher" in components else None
+    sources = dict[str, Source]()
+    for name in components:
+        if blocks is not None and name in ("secondary", "higher"):
+            sources[name] = BlocksOf(blocks, 4 if name == "secondary" else problem.accuracy.max_bounces or LONGEST)
+        else:
+            sources[name] = PathsOf(problem, name)
+    assert target is not None
+    found = sample_to_target(sources, known.shape, target, known, error)
+    # In enclosures of narrow lobes blocks find little; paths, which follow the lobes, are better there.
+    whole = l2_norm(known + sum(found.light.values()))
+    poor = [
+        name
+        for name, light in found.light.items()
+        if isinstance(sources[name], BlocksOf)
+        and not is_enough(found.error[name], l2_norm(light), whole, target)
+    ]
+    if poor:
+        paths: dict[str, Source] = {name: PathsOf(problem, name) for name in poor}
+        kept = {name: light for name, light in found.light.items() if name not in poor}
+        rest = math.hypot(error, *(found.error[name] for name in kept))
+        again = sample_to_target(paths, known.shape, target, known + sum(kept.values()), rest)
+        if math.hypot(*again.error.values()) < math.hypot(*(found.error[name] for name in poor)):
+            sources |= paths
+            found = found.replaced_by(again)
+    return _Samples(sources, found)
+
+
+class _Samples(NamedTuple):
+    """Sampled light, and where each component comes from."""
+
+    sources: dict[str, Source]
+    found: Sampled
+
+
+def _joined(problem: Problem, primary: PrimaryLight | str, samples: _Samples) -> Estimate:
+    """One estimate from the primary by quadrature, or the words why it is sampled, too, and the sampled components."""
+    shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target
+    assert target is not None
+    light = {name: of.reshape(shape) for name, of in found.light.items()}
+    parts, part_errors = dict[str, Floats](), dict[str, float]()
+    samplers = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in sources.items()}
+    stderr, overflow, rays = found.stderr(shape), found.overflow(shape), dict(found.cost)
+    error, opinion = math.hypot(*found.error.values()), primary
+    if isinstance(primary, PrimaryLight):
+        light["primary"] = whole = reduce(np.add, primary.rows)
+        parts = dict(zip(problem.parts, primary.rows, strict=False))
+        samplers["primary"], rays["primary"] = "quadrature", primary.rays
+        stderr = np.hypot(stderr, primary.error / (l2_norm(whole) or 1.0) * whole)
+        overflow = overflow + primary.overflow
+        part_errors, opinion = dict(primary.part_errors), primary.opinion
+        error = math.hypot(error, primary.error)
+    elif "primary" in sources:
+        by_paths = sources["primary"]
+        assert isinstance(by_paths, PathsOf)
+        parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
+    relative = error / (l2_norm(sum(light.values())) or 1.0)
+    met = relative <= MET * target and all(own <= problem.accuracy.each_part for own in part_errors.values())
+    return Estimate(
+        {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
+        {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
+        str(opinion),
     )  # fmt: skip
-    if _factorises_unasked(problem):
-        counts = replace(accuracy, observed=OBSERVED)
-        problem = replace(problem, accuracy=counts, walked=~factorising(materials))
-    return problem
-
-
-def _factorises_unasked(problem: Problem) -> bool:
-    """Whether the secondary needs the factorised form although `Accuracy.observed` does not ask for it: path tracing
-    would seldom meet the surfaces beside the field of view that it comes from."""
-    accuracy = problem.accuracy
-    unasked = accuracy.target is None and accuracy.observed is None and accuracy.occlusion != "off"
-    if not unasked or "secondary" not in problem.tally_rows.components or not factorising(problem.materials).any():
-        return False
-    return surroundings(problem, problem.seed) > CONTACT
-
-
-def _walked(accuracy: Accuracy, materials: MaterialTable) -> Bools:
-    """(K,) whether path tracing finds the secondary by a part: of all parts, of none, or of those that do not
-    factorise."""
-    if accuracy.secondary == "none":
-        return np.zeros(len(materials.kind), np.bool_)
-    return np.ones(len(materials.kind), np.bool_) if accuracy.observed is None else ~factorising(materials)
-
-
-def _with_factorised(problem: Problem, average: Average) -> Estimate:
-    """The result of path tracing, to which the factorised form adds its part of the secondary.
-
-    Their errors are independent and add up as squares.
-    """
-    accuracy, splits = problem.accuracy, problem.tally_rows
-    components, parts = split_rows(average.rows, splits)
-    stderr, overflow = average.stderr, average.overflow
-    costs = dict.fromkeys(components, average.work.cost / len(components))
-    way = dict.fromkeys(components, "walk")
-    if "secondary" in components and not problem.walked.all():
-        assert accuracy.observed is not None
-        more = secondary_transient(problem, accuracy.observed, ~problem.walked)
-        components["secondary"] += more.rows[0]
-        np.hypot(stderr, more.stderr, out=stderr)
-        overflow += more.overflow
-        way["secondary"] = "walk + factorised" if problem.walked.any() else "factorised"
-        costs["secondary"] = more.work.cost + costs["secondary"] * bool(problem.walked.any())
-    total = sum(costs.values())
-    spend = Spend(
-        lookins=dict.fromkeys(components, float(accuracy.lookins)),
-        share={name: value / total if total > 0 else 0.0 for name, value in costs.items()}, way=way,
-        fov_samples=dict.fromkeys(components, int(accuracy.fov_samples)), rounds=1, cost=total,
-        outcome="sample counts as given",
-    )  # fmt: skip
-    return Estimate(components, parts, stderr, overflow, spend, rays=rays_of(problem, average.work))

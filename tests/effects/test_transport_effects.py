@@ -22,7 +22,7 @@ from datagen.records import (
     TimeAxis,
 )
 from datagen.transport import simulate
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
 DEVICE = (1.5, 0.1, 1.3)

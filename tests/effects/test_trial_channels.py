@@ -16,7 +16,7 @@ from datagen.effects import EffectDecisions, decide_transport_effects
 from datagen.effects.trial import LASERS, PIXELS, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 
 DEVICE = (2.5, 0.05, 1.25)

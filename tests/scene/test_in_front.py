@@ -13,7 +13,7 @@ from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame, pixel_places, scan_place
 from datagen.records import Rectangle, Scene
 from datagen.scene import generate_scene
-from datagen.transport.path_tracing.vertices import LaserPoints
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 from scene_library.sightlines import first_faces
 

@@ -21,6 +21,8 @@ from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.error_control.cost import CELL, CELL_RAY
 from datagen.transport.quadrature.gathering import EDGE_LEVELS, Gathered, Gathering, Seen
 
+MOST_WORK = 1 << 23
+"""Most surface elements and shadow rays of a pair in a trial, some seconds."""
 TRIALS, MOST_TRIED = (12, 48), 1 << 23
 """Fewest and most pairs of laser point and pixel in a trial, one in 32 of the scan's pairs in between (all of them
 if they are less than twice the fewest); and the most values (pairs × groups × bins) that the histograms of more than
@@ -439,7 +441,7 @@ class _Runs:
 def choose(trial: Trial, request: Asked) -> Choice | None:
     """The cheapest cutting of each group that meets the errors asked, found with finer and finer ones.
 
-    None where no cutting meets them within `max_lookins`, and where no light was found: light must then be sampled.
+    None where no cutting meets them within `MOST_WORK`, and where no light was found: light must then be sampled.
     """
     groups = len(trial.scale)
     every, objects, runs = np.arange(groups), request.of_objects(groups), _Runs.coarsest(trial)
@@ -489,7 +491,7 @@ def choose(trial: Trial, request: Asked) -> Choice | None:
             return Choice(coarser, tried[level, every], level, error, norm, left, group_norm, claimed, limit, chosen)
         work = trial.work.cells + trial.work.rays
         # The next run takes as much more as elements are finer.
-        over_budget = work + (work - before) / FINER > trial.gathering.task.accuracy.max_lookins * len(trial.pairs)
+        over_budget = work + (work - before) / FINER > MOST_WORK * len(trial.pairs)
         if last or over_budget:
             return None
         # A group that meets its limit is not cut further, unless the whole needs it.

@@ -129,7 +129,7 @@ def _look(problem: Problem, claims: Mapping[str, Claim], count: int, last_order:
     rows = lit[which]
     paths = sample_paths(
         problem.caster, problem.scene, problem.materials, problem.capture, all_pairs[rows], SAMPLES,
-        max_bounces=last_order, occlusion=problem.accuracy.occlusion != "off", seed=seed,
+        max_bounces=last_order, seed=seed,
     )  # fmt: skip
     bins = np.floor((time_from_path(paths.path_m) - time.start_s) / time.width_s)
     inside = (bins >= 0) & (bins < time.bins)

@@ -316,8 +316,7 @@ class Gathering:
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
         cutting = Cutting(
-            error, sharp, self.peak, task.accuracy.occlusion != "off" and not clear,
-            task.accuracy.occlusion == "auto", seed.astype(np.int64),
+            error, sharp, self.peak, not clear, True, seed.astype(np.int64),
         )  # fmt: skip
         room = Room.new()
         for batch in seen:

@@ -54,7 +54,7 @@ class Primary:
 def primary_by_cells(gathering: Gathering, target: float, part_target: float, faint: float = 0.0) -> Primary | None:
     """The primary with a relative L2 error of at most `target`, and of `part_target` in each object's own light.
 
-    Returns nothing if that would take more work than `max_lookins`, or no light is found.
+    Returns nothing if that would take more work than `refinement.MOST_WORK`, or no light is found.
 
     faint : photons, per emitted photon and over all histograms, under which an object's light is not held to that.
     """
@@ -116,7 +116,7 @@ def _of_all_pairs(trial: Trial, choice: Choice, quartering: Quartering, pairs: I
     # in between is worth its uncertainty.
     cutting = choice.tried_cutting if len(trial.pairs) == lit.sum() else choice.cutting
     parts = len(trial.group)
-    rows = np.arange(parts) if task.tally_rows.parts else np.zeros(parts, np.int64)
+    rows = np.arange(parts) if task.parts else np.zeros(parts, np.int64)
     levels = max(quartering.levels, gathering.ray_levels())
     seen = gathering.seen(pairs, levels, quartering.edge_levels)
     # With the random points of the trial, whose pairs then have the errors that were estimated.

@@ -1,0 +1,169 @@
+"""Light by plain paths: the answer for a number of samples, and for what the other samplers leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from datagen.records.arrays import Floats, Ints
+from datagen.seeding import LightStream
+from datagen.transport.effort import REPLICATES, Floats32
+from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.problem import Estimate, Problem, component_of
+from datagen.transport.reference import pairs_of
+from datagen.transport.sampled_paths import sample_paths
+from datagen.transport.sampling import stream_seeds
+from datagen.units import time_from_path
+
+PILOT = 1 << 13
+"""Paths of a pilot for each replicate, over all pairs of laser point and pixel, as far as each pair has one at
+least."""
+MOST_OF_A_PAIR = 1 << 12
+"""Most paths of a pair in a block."""
+PATHS_AT_ONCE = 1 << 17
+"""Paths that are traced in one call."""
+RAYS = 8.0
+"""Rays that a path of one order takes."""
+
+
+def with_samples(problem: Problem) -> Estimate:
+    """The light of all components by `Accuracy.samples` plain paths of each pair of laser point and pixel."""
+    samples, shape = problem.accuracy.samples, problem.capture.shape
+    assert samples is not None
+    replicates = min(REPLICATES, samples)
+    each = [samples // replicates + (r < samples % replicates) for r in range(replicates)]
+    pairs, rows = pairs_of(problem.capture), Rows.of_components(problem, problem.components)
+    light, overflow = np.zeros((rows.count, *shape)), np.zeros(shape[:2])
+    variance = np.zeros(shape)
+    of_pairs, over_of_pairs = light.reshape(rows.count, -1, shape[2]), overflow.reshape(-1)
+    variance_of_pairs = variance.reshape(-1, shape[2])
+    at_once = max(VALUES_AT_ONCE // (rows.count * shape[2]), 1)
+    for start in range(0, len(pairs), at_once):
+        some = np.arange(start, min(start + at_once, len(pairs)))
+        # Replicates of unequal size count by their size.
+        runs = np.stack([rows.light(problem, pairs[some], n, (0, r, start)) for r, n in enumerate(each)])
+        share = np.array(each)[:, None, None, None] / samples
+        of_pairs[:, some] = (share * runs[..., 1:-1]).sum(axis=0)
+        over_of_pairs[some] = (share * runs[..., (0, -1)]).sum(axis=(0, 1, 3))
+        if replicates > 1:
+            variance_of_pairs[some] = runs[..., 1:-1].sum(axis=1).var(axis=0, ddof=1) / replicates
+        else:
+            variance_of_pairs[some] = np.nan
+    parts = dict(zip(problem.parts, light, strict=False))
+    return Estimate(
+        rows.components(light), parts, np.sqrt(variance), overflow,
+        samplers=dict.fromkeys(problem.components, "paths"),
+        rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
+    )  # fmt: skip
+
+
+@dataclass
+class PathsOf:
+    """Plain paths of one component, a source for `effort.py`.
+
+    parts : (K, H, T) light of the primary by part, of all blocks so far, where it is split by part. blocks : their
+    number.
+    """
+
+    problem: Problem
+    component: str
+    first: int = 1
+    can_blur: bool = field(init=False)
+    unit: float = field(init=False)
+    parts: Floats | None = None
+    blocks: int = 0
+
+    def __post_init__(self) -> None:
+        self.pairs = pairs_of(self.problem.capture)
+        self.histograms = [np.arange(len(self.pairs))]
+        self.rows = Rows.of_components(self.problem, (self.component,))
+        # What a pixel collects of light of 1 W/m² at the wall, about: light in this unit has room in single precision.
+        self.unit = self.problem.capture.sensor.aperture_area_m2 * float(self.problem.cones.solid_angle.max())
+        # Parts have to add up to the whole.
+        self.can_blur = self.rows.count == 1
+        self.samples = int(np.clip(PILOT // len(self.pairs), 1, MOST_OF_A_PAIR))
+        if not self.can_blur:
+            self.parts = np.zeros((self.rows.count, len(self.pairs), self.problem.capture.time.bins))
+
+    def light_of_parts(self) -> dict[str, Floats]:
+        """Part → its light (H, T); empty where light is not split by part."""
+        if self.parts is None:
+            return {}
+        return dict(zip(self.problem.parts, self.parts / self.blocks, strict=True))
+
+    def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
+        """Add a block to the light (H, T + 2); returns its cost in shadow rays."""
+        at_once = max(VALUES_AT_ONCE // (self.rows.count * light.shape[1]), 1)
+        for start in range(0, len(self.pairs), at_once):
+            some = slice(start, start + at_once)
+            found = self.rows.light(self.problem, self.pairs[some], self.samples, (1, replicate, number, start))
+            light[some] += found.sum(axis=0) / self.unit
+            if self.parts is not None:
+                self.parts[:, some] += found[..., 1:-1]
+        self.blocks += 1
+        return RAYS * self.samples * len(self.pairs)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The histograms of each pair: one for each part of the primary, or one for all of it, and one for each other
+    component.
+
+    names : component → its rows. of : (orders, K) row of a path by its number of bounces, of which the last stands for
+    all beyond, and by the part of its last hidden vertex; −1 for paths that are not wanted. last : most bounces of
+    paths; None for no limit. direct : whether one and two bounces are wanted.
+    """
+
+    names: dict[str, slice]
+    of: Ints
+    last: int | None
+    direct: bool
+
+    @classmethod
+    def of_components(cls, problem: Problem, components: tuple[str, ...]) -> Rows:
+        """The rows of some components of a problem."""
+        parts, names, count = len(problem.scene.part_names), dict[str, slice](), 0
+        # Parts come first, so that rows of parts have the parts' numbers.
+        for name in sorted(components, key=lambda name: name != "primary"):
+            more = parts if name == "primary" and problem.split_parts else 1
+            names[name] = slice(count, count + more)
+            count += more
+        of, last = np.full((6, parts), -1), 2
+        for order in range(1, 6):
+            name = component_of(order)
+            if name in names:
+                is_split = names[name].stop - names[name].start > 1
+                of[order] = names[name].start + (np.arange(parts) if is_split else 0)
+                last = order
+        return cls(names, of, problem.accuracy.max_bounces if last == 5 else last, "direct" in names)
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return max(rows.stop for rows in self.names.values())
+
+    def light(self, problem: Problem, pairs: Ints, samples: int, stream: tuple[int, ...]) -> Floats:
+        """(rows, n, T + 2) light of n pairs; the first and last column are what comes before and after the window.
+
+        stream : numbers that tell this draw from others.
+        """
+        axis, n = problem.capture.time, len(pairs)
+        light = np.zeros(self.count * n * (axis.bins + 2))
+        at_once = max(PATHS_AT_ONCE // samples, 1)
+        for start in range(0, n, at_once):
+            seed = int(stream_seeds(problem.seed, LightStream.PATHS, *stream, start)[0])
+            paths = sample_paths(
+                problem.caster, problem.scene, problem.materials, problem.capture, pairs[start : start + at_once],
+                samples, max_bounces=self.last, direct=self.direct, seed=seed,
+            )  # fmt: skip
+            row = self.of[np.minimum(paths.order, 5), paths.part]
+            bins = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
+            column = np.clip(bins, -1, axis.bins).astype(np.int64) + 1
+            place = (row * n + start + paths.pair) * (axis.bins + 2) + column
+            light += np.bincount(place[row >= 0], paths.photons[row >= 0], len(light))
+        return light.reshape(self.count, n, -1)
+
+    def components(self, light: Floats) -> dict[str, Floats]:
+        """Component → light (…), from light (rows, …)."""
+        return {name: light[rows].sum(axis=0) for name, rows in self.names.items()}
