@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.bench.measuring import percent
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.path_light import Rows
@@ -40,7 +41,7 @@ class Checked:
 
     def __str__(self) -> str:
         least = math.sqrt(2 * self.noise)
-        return f"{100 * self.error:.2g} %" if self.error > least else f"< {100 * least:.2g} %"
+        return percent(self.error) if self.error > least else f"< {percent(least)}"
 
 
 @dataclass(frozen=True)

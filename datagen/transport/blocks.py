@@ -49,6 +49,8 @@ GROUP = {"confocal": 32, "exhaustive": 64}
 """Most laser points, and most pixels, of a group: a vertex is bright for neighbours alike."""
 PAIRS = 8
 """Pairs of vertices kept in a block, in units of F, where a group has few laser points and pixels."""
+EVENLY = 0.5
+"""Share of the vertices that are drawn for all laser points and pixels alike."""
 SURVIVAL = (0.05, 0.95)
 """Least and greatest chance of a path to survive Russian roulette after each bounce beyond the fifth."""
 LONGEST = 400
@@ -74,7 +76,7 @@ class Ends(NamedTuple):
 
     position, normal, back : (n, 3) metres; unit normal; unit direction to laser or sensor. part : (n,) index, −1 for
     none. gain : (n,) what the device adds to a path: photons, or m² sr in units of `Blocks.unit`. leg : (n,) what its
-    leg adds to the path that the clock sees, m.
+    leg adds to the path that the clock sees, m. chance : (N,) of each laser point or pixel to have vertices drawn.
     """
 
     position: Floats
@@ -83,6 +85,7 @@ class Ends(NamedTuple):
     part: Ints
     gain: Floats
     leg: Floats
+    chance: Floats
 
 
 class Vertices(NamedTuple):
@@ -98,8 +101,8 @@ class Legs(NamedTuple):
 
     light : (n, N) f cosθ cosθ′ V / R² times the end's gain, over the density of the vertex if it has a history.
     path : (n, N) length from the device, m.
-    density : (n, N) 1/m², with which the end's BRDF draws the vertex. mixed : (n, 2) mean of it over the ends, for the
-    back (0) and the front side (1).
+    density : (n, N) 1/m², with which the end's BRDF draws the vertex. mixed : (n, 2) mean of it over the ends, by
+    their chances, for the back (0) and the front side (1).
     came_from : (n, 3) direction that all light comes from, and has_history : (n,) whether this is so: for vertices
     that were found from other vertices.
     """
@@ -136,7 +139,11 @@ def _rays(kind, values, ends, count, u, origin, normal, direction):  # type: ign
     """
     found = np.zeros(len(u), np.bool_)
     for i in range(len(u)):
-        e = min(int(u[i, 0] * count), count - 1) + i % (len(ends.part) // count) * count
+        e, run = 0, ends.chance[0]
+        while run < u[i, 0] and e < count - 1:
+            e += 1
+            run += ends.chance[e]
+        e += i % (len(ends.part) // count) * count
         found[i] = ends.part[e] >= 0
         w = (0.0, 0.0, 1.0)
         if found[i]:
@@ -154,14 +161,14 @@ def _rays_onward(kind, values, ends, x, legs, u, normal, direction):  # type: ig
     found, count = np.zeros(len(u), np.bool_), legs.density.shape[1]
     for i in range(len(u)):
         direction[i, 2] = 1.0
-        wanted = u[i, 2] * (legs.mixed[i, 0] + legs.mixed[i, 1]) * count
+        wanted = u[i, 2] * (legs.mixed[i, 0] + legs.mixed[i, 1])
         if x.part[i] < 0 or wanted <= 0.0:
             continue
         n, a = get(x.normal, i, 0), get(legs.came_from, i, 0)
         if not legs.has_history[i]:
             e, run = -1, 0.0
             for j in range(count):
-                run += abs(legs.density[i, j])
+                run += ends.chance[j] * abs(legs.density[i, j])
                 if legs.density[i, j] != 0.0:
                     e = j
                     if run >= wanted:
@@ -210,7 +217,7 @@ def _legs(kind, values, air, ends, x, offset, frame, light, path, density, origi
 
 
 @compiled()
-def _without_hidden(light, density, hidden, of, mixed):  # type: ignore[no-untyped-def]
+def _without_hidden(light, density, chance, hidden, of, mixed):  # type: ignore[no-untyped-def]
     """Takes hidden legs out, and sets the mean density by side."""
     for k in range(len(hidden)):
         if hidden[k]:
@@ -218,7 +225,7 @@ def _without_hidden(light, density, hidden, of, mixed):  # type: ignore[no-untyp
             light[i, h] = density[i, h] = 0.0
     for i in range(len(mixed)):
         for h in range(light.shape[1]):
-            mixed[i, 1 if density[i, h] > 0 else 0] += abs(density[i, h]) / light.shape[1]
+            mixed[i, 1 if density[i, h] > 0 else 0] += chance[h] * abs(density[i, h])
 
 
 @compiled()
@@ -241,8 +248,8 @@ def _sent_toward(kind, values, ends, x, legs, i, v, side, out):  # type: ignore[
             end = e + i % (len(ends.part) // count) * count
             a = _toward(get(x.position, i, 0), get(ends.position, end, 0))[0]
             out[e] = abs(legs.light[i, e]) * evaluate(k, row, n, a, v)
-            density += abs(legs.density[i, e]) * pdf(k, row, n, a, v)
-    return density / count
+            density += ends.chance[e] * abs(legs.density[i, e]) * pdf(k, row, n, a, v)
+    return density
 
 
 @compiled(fastmath=FAST)
@@ -418,6 +425,13 @@ def _both(one: Any, two: Any) -> Any:
     return type(one)(*(np.concatenate(pair) for pair in zip(one, two, strict=True)))
 
 
+def _chances(error: Floats) -> Floats:
+    """Chances in proportion to errors, but for a share that is even: where an error is far too low, an end still
+    weighs at most 1 / `EVENLY` times as much as without aim."""
+    total = float(error.sum())
+    return EVENLY / len(error) + (1 - EVENLY) * (error / total if total > 0 else 1.0 / len(error))
+
+
 def _neighbours(points: Floats, most: int) -> list[Ints]:
     """Indices of points (n, 3) in groups of up to `most` neighbours; each is cut in half across its longest side."""
     todo, groups = [np.arange(len(points))], list[Ints]()
@@ -449,7 +463,7 @@ class Blocks:
         leg = np.where(exists, points.leg, 0.0)
         self.lasers = Ends(
             np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            exists * np.exp(-self.air * leg), leg * (axis.origin == "source"),
+            exists * np.exp(-self.air * leg), leg * (axis.origin == "source"), np.empty(0),
         )  # fmt: skip
         middle = self.fov_points(np.arange(P), np.full((P, 1, 2), 0.5), 1.0)
         self.unit = float(middle.gain.max()) or 1.0
@@ -464,6 +478,7 @@ class Blocks:
                 for some in of_lasers
             ]
         self._full = dict[tuple[int, int], dict[int, float]]()
+        self._chances = dict[tuple[int, int], tuple[Floats, Floats]]()
 
     def fov_points(self, pixels: Ints, uv: Floats, unit: float) -> Ends:
         """FoV points at coordinates uv (P, Q, 2) of the quadrilaterals of some pixels, set after set."""
@@ -477,7 +492,7 @@ class Blocks:
         gain = np.where(found.part >= 0, found.weight * np.exp(-self.air * leg) / unit, 0.0)
         leg *= capture.time.origin == "source"
         back = np.broadcast_to(found.to_sensor, found.position.shape)
-        return Ends(*map(in_sets, (found.position, found.normal, back, found.part, gain, leg)))
+        return Ends(*map(in_sets, (found.position, found.normal, back, found.part, gain, leg)), np.empty(0))
 
     def add(self, group: int, replicate: int, number: int, last: int, histogram: Floats32) -> float:
         """Add a block of four bounces, or of all orders from five to `last`, to the histograms of a group.
@@ -496,13 +511,27 @@ class Blocks:
         self._block(group, last, work)
         return work.cost
 
+    def aim(self, group: int, last: int, error: Floats) -> None:
+        """Draw vertices for the laser points and pixels whose histograms err most, from the next block on.
+
+        error : (H,) errors of the group's histograms. One laser point at a corner may have nearly all of the error;
+        it would get one in as many vertices as there are laser points.
+        """
+        lasers, pixels, _ = self.groups[group]
+        table = error.reshape(1, -1) if self.problem.capture.pairing == "confocal" else error.reshape(len(lasers), -1)
+        by_laser, by_pixel = error if len(table) == 1 and len(lasers) > 1 else table.sum(axis=1), table.sum(axis=0)
+        self._chances[group, min(last, 5)] = _chances(by_laser), _chances(by_pixel)
+        self._full.pop((group, min(last, 5)), None)
+
     def _block(self, group: int, last: int, work: _Work) -> None:
         lasers, pixels, _ = self.groups[group]
         rng, L, P = work.rng, len(lasers), len(pixels)
-        front = _rows(self.lasers, lasers)
+        even = np.full(L, 1.0 / L), np.full(P, 1.0 / P)
+        of_lasers, of_pixels = self._chances.get((group, min(last, 5)), even)
+        front = Ends(*(np.ascontiguousarray(of[lasers]) for of in self.lasers[:-1]), of_lasers)
         # The sets of a pixel are a lattice with a shift of its own: evenly spread, and each point uniform.
         uv = (rng.random((P, 1, 2)) + LATTICE) % 1.0
-        back = self.fov_points(pixels, uv, self.unit)
+        back = self.fov_points(pixels, uv, self.unit)._replace(chance=of_pixels)
         x, y = self._drawn(front, L, work), self._drawn(back, P, work)
         of_x, of_y = self._legs(front, L, x, work), self._legs(back, P, y, work)
         some = np.arange(ONWARD)
@@ -607,7 +636,7 @@ class Blocks:
         rays = _legs(
             self.kind, self.values, self.air, ends, x, offset, self.frame, light, path, density, origin, span, of
         )  # fmt: skip
-        _without_hidden(light, density, self._hidden(origin[:rays], span[:rays], work), of, mixed)
+        _without_hidden(light, density, ends.chance, self._hidden(origin[:rays], span[:rays], work), of, mixed)
         return Legs(light, path, density, mixed, np.zeros((n, 3)), np.zeros(n, np.bool_))
 
     def _hidden(self, origin: Floats32, span: Floats32, work: _Work) -> Bools:
@@ -637,6 +666,10 @@ class BlocksOf:
     def first(self) -> int:
         """Blocks of each replicate and group in a pilot."""
         return -(-PILOT // (REPLICATES * len(self.blocks.groups)))
+
+    def aim(self, group: int, error: Floats) -> None:
+        """Draw vertices where errors (H,) of a group's histograms are large, from the next block on."""
+        self.blocks.aim(group, self.last, error)
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add a block to the light (H, T + 2) of a group; returns its cost in shadow rays."""

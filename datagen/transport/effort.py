@@ -40,6 +40,8 @@ more slowly than with 1/√n."""
 OWN, SHARE = 0.2, 0.3
 """Error of a component relative to its own light up to which more effort is spent on it, unless that error is less
 than `SHARE` of the whole error asked."""
+FAR = 2.0
+"""Error relative to the one asked from which on another sampler is tried."""
 
 Floats32 = NDArray[np.float32]
 
@@ -59,6 +61,9 @@ class Source(Protocol):
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add block `number` of a replicate to the light (H, T + 2) of a group, whose first and last column take what
         comes before and after the window. Returns the cost, in shadow rays."""
+
+    def aim(self, group: int, error: Floats) -> None:
+        """Learn the errors (H,) of the histograms of a group after the pilot, which may steer later blocks."""
 
 
 class Sampled(NamedTuple):
@@ -104,6 +109,7 @@ def sample_to_target(
     ]
     for unit in units:
         unit.run(unit.source.first)
+        unit.source.aim(unit.group, np.sqrt(unit.variance.sum(axis=1)))
     for _ in range(RUNS):
         more = _effort(units, target, known, known_error)
         for unit, blocks in zip(units, more, strict=True):
@@ -125,9 +131,8 @@ def sample_to_target(
 
 
 def is_enough(error: float, own: float, whole: float, target: float) -> bool:
-    """Whether a component's L2 error is small beside its own light, or beside the error asked of the whole; `own` and
-    `whole` are L2 norms of light."""
-    return error <= max(OWN * own, SHARE * target * whole)
+    """Whether a component's L2 error is not far above what is asked of it; `own` and `whole` are L2 norms of light."""
+    return error <= FAR * max(OWN * own, SHARE * target * whole)
 
 
 def _effort(units: list[_Unit], target: float, known: Floats, known_error: float) -> list[int]:

@@ -92,6 +92,9 @@ class PathsOf:
             return {}
         return dict(zip(self.problem.parts, self.parts / self.blocks, strict=True))
 
+    def aim(self, group: int, error: Floats) -> None:
+        """Nothing: each pair has as many paths as any other."""
+
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add a block to the light (H, T + 2); returns its cost in shadow rays."""
         at_once = max(VALUES_AT_ONCE // (self.rows.count * light.shape[1]), 1)
