@@ -279,7 +279,7 @@ def test_levels_depend_on_the_number_of_rays_where_radiometric_ones_do_not(room:
     assert printed[:, 1].max() > 4 * printed[:, 1].min()
     runs = np.array(
         [
-            [energies(dg.simulate(*room, dg.Accuracy(n * n, 4, 4, 1), seed=s)) for s in range(8)]
+            [energies(dg.simulate(*room, dg.Accuracy(samples=n * n, max_bounces=4), seed=s)) for s in range(8)]
             for n in (few, some, many)
         ]
     )

@@ -34,7 +34,7 @@ def added_up(narrow: NDArray[np.float64]) -> NDArray[np.float64]:
 @pytest.mark.parametrize("origin", ["wall", "source"])
 def test_walks_add_up_exactly(origin: str) -> None:
     """Path tracing, all orders: direct, primary, secondary and higher, and the light outside the window."""
-    accuracy = Accuracy(512, 4, 5, 2, direct=True)
+    accuracy = Accuracy(samples=512, max_bounces=5, direct=True)
     wide, narrow = (simulate(SCENE, scan(axis(40 * n, 0.2 / n, origin)), accuracy, seed=3) for n in (1, FACTOR))
     assert wide.components.keys() >= {"direct", "primary", "secondary", "higher"}
     for name, transient in wide.components.items():
@@ -64,17 +64,3 @@ def test_the_paper_s_estimator_adds_up_exactly() -> None:
         np.testing.assert_allclose(added_up(narrow.components[name]), transient, rtol=1e-11)
         assert transient.any()
     np.testing.assert_allclose(narrow.overflow, wide.overflow, rtol=1e-11)
-
-
-def test_the_factorised_secondary_adds_up() -> None:
-    """Bins add up except for pairs within half a sub-bin of an edge.
-
-    Smoothing over a sub-bin of width w / SUB_BINS changes a bin of width w by w³ f″ / (24 SUB_BINS²).
-    """
-    accuracy = Accuracy(512, 16, 4, 2, observed=64)
-    wide, narrow = (
-        simulate(SCENE, one_point_capture(time=axis(40 * n, 0.2 / n)), accuracy, seed=3).components["secondary"]
-        for n in (1, FACTOR)
-    )
-    error = np.linalg.norm(added_up(narrow) - wide) / np.linalg.norm(wide)
-    assert error < 0.01

@@ -14,7 +14,7 @@ from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene, simul
 from datagen.records import Material
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.simulate import prepared
+from datagen.transport.problem import Problem
 
 
 def cluttered() -> Scene:
@@ -67,33 +67,8 @@ def touching() -> Scene:
     return Scene.from_parts([wall, Part("shelf", shelf, Lambertian(0.6))])
 
 
-@pytest.mark.parametrize(
-    ("scene", "half_side_m", "target"),
-    [(cluttered, 1e-3, 0.005), (furnished_box, 0.2, 0.02), (within_a_ring, 1e-3, 0.005), (touching, 1e-3, 0.005)],
-    ids=["cluttered", "furnished box", "within a ring", "touching"],
-)
-def test_proofs_save_work_and_change_little(scene: Callable[[], Scene], half_side_m: float, target: float) -> None:
-    """The light of each part with rays saved is that with all rays cast, apart from a rare element that the three
-    rays miss, and from what elements that are not proven to be clear gain by being cut finer."""
-    capture = one_point_capture(
-        (0, -0.3, 0.5), (0, 0.4, 0.6), half_side_m, bins_of_path(200, 0.02, 0.0), (0.4, 0.1, 0.9)
-    )
-    fast, plain = (
-        simulate(scene(), capture, Accuracy(target=target, max_bounces=3, occlusion=occlusion), seed=1)  # type: ignore[arg-type]
-        for occlusion in ("auto", "on")
-    )
-    assert fast.spend is not None and plain.spend is not None
-    assert fast.spend.way == plain.spend.way == {"primary": "cells"}
-    most = max(np.linalg.norm(light) for light in plain.parts.values())
-    assert most > 0
-    for name, light in plain.parts.items():
-        norm = max(np.linalg.norm(light), 1e-3 * most)
-        assert np.linalg.norm(fast.parts[name] - light) <= 2 * target * norm, name
-    assert fast.spend.cost < 0.9 * plain.spend.cost
-
-
 def histograms(scene: Scene, capture: Capture, error: float) -> tuple[np.ndarray, int, int]:
-    gathering = Gathering.of(prepared(scene, capture, Accuracy(target=0.02), 0, split_parts=True))
+    gathering = Gathering.of(Problem.of(scene, capture, Accuracy(target=0.02), 0, split_parts=True))
     pairs, parts = pairs_of(gathering.task.capture), len(scene.part_names)
     seen = list(gathering.seen(pairs, 1))
     coarse = gathering.gathered(pairs, seen, np.full(parts, 1e300), np.arange(parts)).histogram

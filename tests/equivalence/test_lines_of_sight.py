@@ -9,7 +9,7 @@ from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
 from datagen import Accuracy, Capture, Sensor, simulate
 
 EYE = np.array([1.5, 0.1, 1.3])
-WAYS = {"paths": Accuracy(1024, 9, 4, 2), "elements": Accuracy(target=0.02, max_bounces=3)}
+WAYS = {"paths": Accuracy(samples=1024, max_bounces=4), "elements": Accuracy(target=0.02, max_bounces=3)}
 HAIRS = (0.0, 1e-9, -1e-9, 1e-7, -1e-7)
 
 

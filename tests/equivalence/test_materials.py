@@ -164,7 +164,7 @@ def test_reciprocity_of_the_transient() -> None:
     )  # fmt: skip
     a, b = np.array([0, -0.8, 1.4]), np.array([0, 0.5, 0.9])
     there, back = (
-        simulate(scene, one_point_capture(p, q, HALF_SIDE), Accuracy(1 << 16, 1, 4, 16), seed=s)
+        simulate(scene, one_point_capture(p, q, HALF_SIDE), Accuracy(samples=1 << 16, max_bounces=4), seed=s)
         for p, q, s in ((a, b, 1), (b, a, 2))
     )
     solid = [(DEVICE - p)[0] / np.linalg.norm(DEVICE - p) ** 3 for p in (b, a)]
@@ -184,7 +184,7 @@ def scan(
     """(L,) confocal primary energy of the hidden object."""
     pixels, axis = square_pixels(points, half_side), bins_of_path(40, 0.5, -1.0)
     capture = Capture(Laser(device, points), Sensor(device, pixels), axis, "confocal")
-    result = simulate(scene, capture, Accuracy(1 << 15, 4, 3, 8), seed=3)
+    result = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=3), seed=3)
     return result.parts["box"][:, 0].sum(axis=1)
 
 

@@ -29,7 +29,7 @@ from datagen.records.arrays import Floats
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import reference
 from datagen.transport.sampled_paths import sample_paths
-from datagen.transport.simulate import prepared
+from datagen.transport.problem import Problem
 
 DEVICE = np.array([2.4, -0.9, 1.2])
 AXIS = TimeAxis(64, 4e-10, 0.0, "wall")
@@ -86,7 +86,7 @@ def test_light_of_meshes_is_that_of_the_definition(pairing: str, half_m: float, 
     """The light of each object in windows of four bins, within chance and half the error asked."""
     room, capture = scene(material), scan(pairing, half_m)
     found = simulate(room, capture, Accuracy(target=0.01, part_target=0.02, max_bounces=3), seed=3)
-    assert found.spend.way == {"primary": "cells"} and found.met_target
+    assert found.samplers == {"primary": "quadrature"} and found.met_target
     runs = [
         reference(room, capture, samples=1 << 11, replicates=2, seed=s, max_bounces=3, draw=sample_paths)
         for s in range(RUNS)
@@ -127,7 +127,7 @@ def test_where_no_rays_are_sent_elements_find_the_same() -> None:
     for sharp in (15.5, 16.5):
         exponent = 2 * np.log(2) * sharp
         room = scene(Phong(0.7, exponent=exponent, specular=0.5))
-        task = prepared(room, capture, Accuracy(target=0.02, max_bounces=3), 0, split_parts=True)
+        task = Problem.of(room, capture, Accuracy(target=0.02, max_bounces=3), 0, split_parts=True)
         assert Gathering.of(task).by_rays.any() == (sharp < 16)
         light.append(simulate(room, capture, replace(task.accuracy, target=0.005, part_target=0.02), seed=1))
     for name in ("torus", "ball"):

@@ -31,7 +31,7 @@ def test_sphere_energy_for_three_to_six_bounces() -> None:
     scene, capture, primary = in_the_ball(albedo)
     energy = {}
     for last in (3, 4, 5, 6):
-        result = simulate(scene, capture, Accuracy(1 << 15, 4, last, 4), seed=last)
+        result = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=last), seed=last)
         energy[last] = result.total.sum() + result.overflow.sum()
         assert energy[last] == pytest.approx(primary * sum(albedo**k for k in range(last - 2)), rel=1e-3)
     assert energy[6] - energy[5] == pytest.approx(primary * albedo**3, rel=1e-2)
@@ -47,7 +47,7 @@ def test_sphere_shape_for_three_to_six_bounces() -> None:
     scene, capture, primary = in_the_ball(0.8, subdivisions=6)
     laser, sensor = Laser((0, 0, 0.0), [SPOT] * 16), Sensor((0, 0, 0.0), np.repeat(QUAD, 16, axis=0))
     sixteen = Capture(laser, sensor, capture.time, "confocal")
-    fifth, both = (simulate(scene, sixteen, Accuracy(4096, 4, last, 1), seed=600) for last in (5, 6))
+    fifth, both = (simulate(scene, sixteen, Accuracy(samples=4096, max_bounces=last), seed=600) for last in (5, 6))
     runs: dict[int, NDArray[np.float64]] = {
         3: both.components["primary"][:, 0],
         4: both.components["secondary"][:, 0],
@@ -79,17 +79,17 @@ def test_the_stored_chords_are_those_of_other_chains() -> None:
 def test_russian_roulette_follows_all_orders_without_bias() -> None:
     """All orders in the sphere sum to 1/(1 − ρ) times the primary."""
     scene, capture, primary = in_the_ball(0.6)
-    result = simulate(scene, capture, Accuracy(1 << 15, 2, None, 8), seed=2)
+    result = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=None), seed=2)
     total = result.total.sum() + result.overflow.sum()
     assert total == pytest.approx(primary / (1 - 0.6), rel=3e-3)
-    again = simulate(scene, capture, Accuracy(1 << 15, 2, None, 8), seed=2)
+    again = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=None), seed=2)
     assert result.total.tobytes() == again.total.tobytes()
 
 
 def test_components_add_up_and_orders_do_not_disturb_each_other() -> None:
     scene, capture = furnished_box(), one_point_capture(time=bins_of_path(60, 0.3, 0.0))
-    few = simulate(scene, capture, Accuracy(2048, 4, 3, 4), seed=3)
-    many = simulate(scene, capture, Accuracy(2048, 4, 6, 4, direct=True), seed=3)
+    few = simulate(scene, capture, Accuracy(samples=2048, max_bounces=3), seed=3)
+    many = simulate(scene, capture, Accuracy(samples=2048, max_bounces=6, direct=True), seed=3)
     assert list(many.components) == ["direct", "primary", "secondary", "higher"]
     np.testing.assert_allclose(sum(many.components.values()), many.total, rtol=1e-12)
     np.testing.assert_allclose(sum(many.parts.values()), many.components["primary"], rtol=1e-12)
@@ -99,7 +99,7 @@ def test_components_add_up_and_orders_do_not_disturb_each_other() -> None:
 def test_light_is_linear_in_each_albedo_order_by_order() -> None:
     """Exactly, because the paths are the same: halving every albedo divides the primary by 2³ and the secondary by
     2⁴; halving one part's, the light of a path by 2 for each bounce on that part."""
-    capture, accuracy = one_point_capture(time=bins_of_path(60, 0.3, 0.0)), Accuracy(2048, 4, 4, 4)
+    capture, accuracy = one_point_capture(time=bins_of_path(60, 0.3, 0.0)), Accuracy(samples=2048, max_bounces=4)
     scene = furnished_box(0.8)
     bright, dark = (simulate(of, capture, accuracy, seed=3) for of in (scene, furnished_box(0.4)))
     np.testing.assert_allclose(dark.components["primary"] * 8, bright.components["primary"], rtol=1e-9)
@@ -118,9 +118,9 @@ def test_attenuation_is_exp_of_the_whole_path() -> None:
     """With the time origin at the source each bin is one path length, so its light is dimmed by exp(−a path),
     whatever the leg."""
     capture = one_point_capture(time=bins_of_path(4000, 0.005, 0.0, "source"))
-    clear = simulate(furnished_box(), capture, Accuracy(2048, 4, 5, 2, direct=True), seed=1)
+    clear = simulate(furnished_box(), capture, Accuracy(samples=2048, max_bounces=5, direct=True), seed=1)
     foggy = simulate(
-        replace(furnished_box(), attenuation_per_m=0.7), capture, Accuracy(2048, 4, 5, 2, direct=True), seed=1
+        replace(furnished_box(), attenuation_per_m=0.7), capture, Accuracy(samples=2048, max_bounces=5, direct=True), seed=1
     )
     path = 0.005 * (np.arange(4000) + 0.5)
     filled = clear.total[0, 0] > 0
@@ -139,7 +139,7 @@ def test_direct_return_of_the_laser_point_in_closed_form() -> None:
     expected = 0.8 / np.pi * out[0] / reach * APERTURE_M2 / reach**2
     for origin, path in (("source", np.linalg.norm(laser - spot) + reach), ("wall", 0.0)):
         capture = Capture(Laser(laser, [spot]), Sensor(sensor, pixels), bins_of_path(1000, 0.01, -0.02, origin))
-        result = simulate(wall, capture, Accuracy(64, 4, 3, 2, direct=True), seed=1)
+        result = simulate(wall, capture, Accuracy(samples=64, max_bounces=3, direct=True), seed=1)
         direct = result.components["direct"][0]
         assert direct[0].sum() == pytest.approx(expected, rel=1e-9)
         assert np.flatnonzero(direct[0]) == int((path + 0.02) / 0.01)
@@ -158,7 +158,7 @@ def test_direct_return_of_two_bounces_by_quadrature() -> None:
     low, high = np.array([1e-9, -0.3]), np.array([0.6, 0.4])
     corners = np.array([[low[0], 1, low[1]], [high[0], 1, low[1]], [high[0], 1, high[1]], [low[0], 1, high[1]]])
     capture = Capture(Laser(device, [spot]), Sensor(device, [corners]), bins_of_path(1, 20.0, 0.0))
-    result = simulate(scene, capture, Accuracy(1 << 15, 4, 3, 4, direct=True), seed=2)
+    result = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=3, direct=True), seed=2)
     n = 1500
     x, z = (
         low[k] + (high[k] - low[k]) * (np.arange(n) + 0.5) / n for k in (0, 1)
@@ -182,7 +182,7 @@ def test_a_near_disc_aperture_receives_its_exact_share() -> None:
     for distance in (0.02, 0.2, 2.0):
         sensor = Sensor((distance, 0, 0), square_pixels([[0, 0, 0]], 1e-3), 0.02, finite_aperture=True)
         capture = Capture(Laser((1.0, 0.5, 0), [[0, 0, 0]]), sensor, bins_of_path(10, 1.0, 0.0))
-        result = simulate(scene, capture, Accuracy(16, 1, 3, 1, direct=True), seed=1)
+        result = simulate(scene, capture, Accuracy(samples=16, max_bounces=3, direct=True), seed=1)
         received = result.components["direct"].sum() + result.overflow.sum()
         assert received == pytest.approx(0.8 * 0.02**2 / (distance**2 + 0.02**2), rel=1e-6)
 
@@ -194,7 +194,7 @@ def test_many_pixels_give_what_each_gives_alone(pairing: str) -> None:
     scene, device, axis = furnished_box(), np.array([1.5, 0.1, 1.3]), bins_of_path(20, 0.8, 0.0)
     points = np.array([[0, y, 1.3] for y in (-0.8, 0.0, 0.8)])
     pixels = square_pixels(points, 0.1)
-    accuracy = Accuracy(1 << 13, 4, 4, 8)
+    accuracy = Accuracy(samples=1 << 13, max_bounces=4)
     capture = Capture(Laser(device, points), Sensor(device, pixels), axis, pairing)  # type: ignore[arg-type]
     together = simulate(scene, capture, accuracy, seed=1)
     worst = []

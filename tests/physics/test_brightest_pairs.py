@@ -12,7 +12,7 @@ from datagen.transport.error_control import refinement
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of, reference
 from datagen.transport.sampled_paths import sample_paths
-from datagen.transport.simulate import prepared
+from datagen.transport.problem import Problem
 
 DEVICE = np.array([3.0, -1.0, 1.2])
 SIDE, HIT, GAP_M = 24, 17, 0.003
@@ -87,7 +87,7 @@ def test_a_run_that_takes_too_much_is_given_up() -> None:
     screen = Part("screen", rectangle((0.4, 0.3, 1.2), (0.0, 0.3, 0.0), (0, 0, 0.3)), Lambertian(0.5))
     capture = scan(points()[-4:])
     gathering = Gathering.of(
-        prepared(Scene.from_parts([WALL, plate, screen]), capture, Accuracy(target=0.05), 0, split_parts=True)
+        Problem.of(Scene.from_parts([WALL, plate, screen]), capture, Accuracy(target=0.05), 0, split_parts=True)
     )
     pairs = pairs_of(capture)
 
@@ -110,14 +110,14 @@ def test_a_scan_whose_rough_computation_takes_too_much_is_sampled(monkeypatch: p
         [WALL, Part("plate", rectangle((0.8, 0, 1.2), (0, 0.3, 0), (0, 0, 0.3)), Lambertian(0.5))]
     )
     run = simulate(scene, scan(points()[::6]), Accuracy(target=0.1, max_bounces=3))
-    assert run.met_target and run.spend is not None and run.spend.way == {"primary": "walk"}
+    assert run.met_target and run.samplers == {"primary": "paths"}
 
 
 def test_a_trial_is_drawn_by_the_light_that_the_one_before_found() -> None:
     """A pair that has nearly all the light of one group is in the next trial, which then overlooks none."""
     scene = Scene.from_parts([WALL, Part("box", trimesh.creation.box((0.3, 0.3, 0.3)), Lambertian(0.6))])
     capture = scan(points())
-    task = prepared(scene, capture, Accuracy(target=0.05), 0, split_parts=True)
+    task = Problem.of(scene, capture, Accuracy(target=0.05), 0, split_parts=True)
     gathering, pairs = Gathering.of(task), pairs_of(capture)
     asked = refinement.Asked(0.05, 0.05, 0.0, np.array([False, True]))
     first = refinement.Trial.of(gathering, pairs, asked)

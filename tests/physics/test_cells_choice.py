@@ -106,7 +106,7 @@ def test_what_was_asked_is_kept(case: Callable[[], Case], target: float) -> None
         simulate(scene, capture, Accuracy(target=of, part_target=2.5 * of, max_bounces=3), seed=seed)
         for seed, of in enumerate((target, target / FINER))
     )
-    assert found.spend is not None and found.spend.way == {"primary": "cells"} and found.met_target
+    assert found.samplers == {"primary": "quadrature"} and found.met_target
     assert np.linalg.norm(found.total - truth.total) <= target * np.linalg.norm(truth.total)
     assert found.part_errors.keys() == set(scene.objects)
     for name in (name for name, claimed in found.part_errors.items() if claimed > 0):

@@ -130,7 +130,7 @@ def test_light_of_a_plate_in_a_floor_is_that_of_plain_paths() -> None:
     plain = reference(inside, SIDEWAYS, samples=1 << 16, replicates=8, seed=2, draw=sample_paths)
     with pytest.warns(InputWarning, match=r"simulate: parts 'plate' and 'floor' lie in one place: 'plate' is taken"):
         aimed = dg.simulate(inside, SIDEWAYS, dg.Accuracy(target=0.01), seed=3)
-        counted = dg.simulate(inside, SIDEWAYS, dg.Accuracy(lookins=1 << 16, fov_samples=4), seed=4)
+        counted = dg.simulate(inside, SIDEWAYS, dg.Accuracy(samples=1 << 16), seed=4)
     for name in ("plate", "floor"):
         energy = truth.parts[name].sum()
         assert energy > 0
@@ -144,7 +144,7 @@ def test_light_of_a_plate_in_a_floor_is_that_of_plain_paths() -> None:
 def test_a_scene_without_shared_places_brings_no_line() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        dg.simulate(plate_in_a_floor(1e-4), SIDEWAYS, dg.Accuracy(lookins=64))
+        dg.simulate(plate_in_a_floor(1e-4), SIDEWAYS, dg.Accuracy(samples=64))
 
 
 def test_plain_paths_meet_the_same_parts_in_either_order() -> None:

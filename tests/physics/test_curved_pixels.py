@@ -38,7 +38,7 @@ def test_both_sides_of_a_valley_light_each_other_within_one_pixel() -> None:
     norm, known = np.linalg.norm(truth.total), np.linalg.norm(truth.stderr)
     assert known < 0.025 * norm
     found = simulate(scene, capture, Accuracy(target=0.05, max_bounces=3))
-    assert found.spend is not None and found.spend.way == {"primary": "cells"}
+    assert found.samplers == {"primary": "quadrature"}
     assert np.linalg.norm(found.total - truth.total) <= 0.05 * norm + 2.0 * known
 
 

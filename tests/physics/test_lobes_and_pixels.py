@@ -46,7 +46,7 @@ def test_how_finely_to_cut_is_measured_by_the_light_there_is() -> None:
     true = truth_of(foreign, WHOLE)
     for target in (0.05, 0.02):
         run = simulate(foreign.scene, foreign.capture, Accuracy(target=target, max_bounces=3), seed=1)
-        assert run.met_target and run.spend is not None and run.spend.way["primary"] == "cells"
+        assert run.met_target and run.samplers["primary"] == "quadrature"
         assert off(lights(run)[WHOLE], true) < max(target, 0.03)
 
 

@@ -65,7 +65,7 @@ def test_standard_error_is_honest() -> None:
     """The estimates of 40 seeds scatter by the standard error that each of them states, in total energy and in single
     bins."""
     scene, capture = furnished_box(), one_point_capture(time=bins_of_path(60, 0.3, 0.0))
-    runs = [simulate(scene, capture, Accuracy(1024, 4, 3, 8), seed=s) for s in range(40)]
+    runs = [simulate(scene, capture, Accuracy(samples=1024, max_bounces=3), seed=s) for s in range(40)]
     totals = np.array([r.total[0, 0] for r in runs])
     stated = np.sqrt(np.mean([r.stderr[0, 0] ** 2 for r in runs], axis=0))
     scatter = totals.std(axis=0, ddof=1)
@@ -84,7 +84,7 @@ def test_order_of_convergence() -> None:
     for count in counts:
         runs = [
             float(
-                (r := simulate(scene, capture, Accuracy(int(count), 1, 3, 1), seed=s)).total.sum() + r.overflow.sum()
+                (r := simulate(scene, capture, Accuracy(samples=int(count), max_bounces=3), seed=s)).total.sum() + r.overflow.sum()
             )
             for s in range(32)
         ]

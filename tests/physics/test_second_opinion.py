@@ -8,11 +8,11 @@ import pytest
 
 import datagen as dg
 from datagen.records import Accuracy
-from datagen.transport.error_control import meet_target as adaptive
+from datagen.transport.error_control import primary as adaptive
 from datagen.transport.error_control.second_opinion import Claim, second_opinion
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.quadrature.three_bounces import primary_by_cells
-from datagen.transport.simulate import prepared
+from datagen.transport.problem import Problem
 from tests.rooms import bins_of_path, furnished_box, square_pixels
 
 SEEDS = range(6)
@@ -30,7 +30,7 @@ def scan(points_a_side):
 @pytest.fixture(scope="module")
 def found():
     """A problem, and the claims of its primary."""
-    task = prepared(furnished_box(), scan(8), Accuracy(target=0.02), 0, split_parts=True)
+    task = Problem.of(furnished_box(), scan(8), Accuracy(target=0.02), 0, split_parts=True)
     primary = primary_by_cells(Gathering.of(task), 0.02, 0.05)
     return task, adaptive._claims(task, primary)
 
@@ -73,7 +73,7 @@ def test_light_that_comes_in_the_wrong_window_is_found(found):
 
 
 def test_a_scene_whose_light_is_disputed_is_sampled_and_says_so(monkeypatch):
-    """If the primary loses a third of all light at every fineness, path tracing replaces it."""
+    """If the primary loses a third of all light at every fineness, paths replace it."""
     scene, capture = furnished_box(), scan(3)
 
     def lossy(gathering, target, part_target, faint=0.0):
@@ -81,25 +81,12 @@ def test_a_scene_whose_light_is_disputed_is_sampled_and_says_so(monkeypatch):
         return replace(right, rows=[0.67 * row for row in right.rows])
 
     right = dg.simulate(scene, capture, Accuracy(target=0.05), seed=3)
-    assert right.spend.way["primary"] == "cells" and right.spend.second_opinion.startswith("agrees: of ")
+    assert right.samplers["primary"] == "quadrature" and right.second_opinion.startswith("agrees: of ")
     monkeypatch.setattr(adaptive, "primary_by_cells", lossy)
     disputed = dg.simulate(scene, capture, Accuracy(target=0.05), seed=3)
-    assert disputed.spend.way["primary"] == "walk"
-    assert disputed.spend.second_opinion.count("disagrees: of ") == len(adaptive.TRIES)
+    assert disputed.samplers["primary"] == "paths"
+    assert disputed.second_opinion.count("disagrees: of ") == len(adaptive.TRIES)
     assert disputed.total.sum() == pytest.approx(right.total.sum(), rel=0.05)
-    assert disputed.spend.parameters()["second_opinion"] == disputed.spend.second_opinion
-
-
-def test_light_of_which_samples_met_nothing_is_missed(found):
-    """Path tracing that meets no path of four bounces has no scatter to estimate their error from: its claim is one
-    on the whole light."""
-    task, claims = found
-    dark = np.zeros_like(claims["primary"].light)
-    whole = float(claims["primary"].light.sum())
-    opinions = [second_opinion(task, {"secondary": Claim(dark, 0.02 * whole, 4)}, turn=seed) for seed in SEEDS]
-    assert not any(opinion.agrees for opinion in opinions)
-    # A large share of the light is missing, and the claimed error is raised to that share.
-    assert min(opinion.missing for opinion in opinions) > 0.1 * whole
 
 
 def test_no_light_is_no_dispute(found):

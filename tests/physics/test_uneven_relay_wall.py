@@ -34,7 +34,7 @@ def transient(relay: dict[str, Any]) -> Transient:
         }
     )  # fmt: skip
     scene = dg.generate_scene(config.scene, 0, 0)
-    return dg.simulate(scene, dg.capture_for(config, scene), dg.Accuracy(lookins=8192, fov_samples=16), seed=5)
+    return dg.simulate(scene, dg.capture_for(config, scene), dg.Accuracy(samples=8192), seed=5)
 
 
 def ribs(relief_m: float) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""The primary by quadrature and by path tracing, two ways that share only the BRDFs: the light is the same for
+"""The primary by quadrature and by plain paths, two ways that share only the BRDFs: the light is the same for
 pixels, walls, windows and apertures that `test_all_ways.py`, which has all BRDFs, shapes and scans, has not.
 
-The mean of path tracing over `RUNS` seeds is compared by Student's t at 10⁻³ over all numbers, with the error asked
+The mean of plain paths over `RUNS` seeds is compared by Student's t at 10⁻³ over all numbers, with the error asked
 of quadrature allowed on top: energy of every part, of every laser point and pixel, and by coarse bins of time.
 """
 
@@ -24,7 +24,7 @@ ASKED = 0.01
 DEVICE = (1.5, 0.1, 1.3)
 TIME = bins_of_path(160, 0.1, 0.0)
 COARSE = 8
-"""Number of bins added up into one: path tracing may divide a path between neighbouring bins."""
+"""Number of bins added up into one: plain paths may divide a path between neighbouring bins."""
 
 
 def numbers(found: Transient) -> NDArray[np.float64]:
@@ -36,18 +36,18 @@ def numbers(found: Transient) -> NDArray[np.float64]:
     return np.concatenate([parts, [found.overflow.sum()], each.ravel(), by_time])
 
 
-WALK = Accuracy(4096, 4, replicates=1)
+PATHS = Accuracy(samples=4096)
 
 
 def same_light(
-    scene: Scene, capture: Capture, walk: Accuracy = WALK, faint: float = 0.1, seeds: int = 1
+    scene: Scene, capture: Capture, paths: Accuracy = PATHS, faint: float = 0.1, seeds: int = 1
 ) -> Transient:  # fmt: skip
-    """Compare quadrature with path tracing. faint : numbers below this fraction of the largest may be off by that
+    """Compare quadrature with plain paths. faint : numbers below this fraction of the largest may be off by that
     fraction. seeds : runs of quadrature whose mean is compared, where single numbers are random."""
-    asked = Accuracy(target=ASKED, part_target=ASKED, occlusion=walk.occlusion)
+    asked = Accuracy(target=ASKED, part_target=ASKED)
     cells, *others = [simulate(scene, capture, asked, seed=seed) for seed in range(1, seeds + 1)]
-    assert cells.spend is not None and cells.spend.way["primary"] == "cells"
-    runs = np.array([numbers(simulate(scene, capture, walk, seed=s)) for s in range(RUNS)])
+    assert cells.samplers["primary"] == "quadrature"
+    runs = np.array([numbers(simulate(scene, capture, paths, seed=s)) for s in range(RUNS)])
     ours = np.mean([numbers(run) for run in (cells, *others)], axis=0)
     off = np.abs(ours - runs.mean(axis=0))
     # Quadrature may be off by the error asked, and in the middle of steep flanks by that of neighbouring bins.
@@ -55,7 +55,7 @@ def same_light(
     allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(runs, axis=0) + own
     assert ours.max() > 0
     assert (off <= allowed).all(), np.column_stack([ours, runs.mean(axis=0), allowed])[off > allowed]
-    # The comparison means something only where the light of path tracing is known well.
+    # The comparison means something only where the light of plain paths is known well.
     whole = runs[:, : len(scene.part_names) + 1].sum(axis=1)
     assert stats.sem(whole) < 0.02 * whole.mean()
     return cells
@@ -112,10 +112,6 @@ def test_attenuation_and_windows() -> None:
     capture = several("exhaustive")
     for start, bins in ((0.0, 160), (3.03, 64), (0.0, 40), (5.5, 8)):
         same_light(foggy, replace(capture, time=bins_of_path(bins, 0.1, start)))
-
-
-def test_without_asking_what_stands_between() -> None:
-    same_light(furnished_box(), several("exhaustive"), Accuracy(4096, 4, replicates=1, occlusion="off"))
 
 
 def test_a_finite_aperture() -> None:
