@@ -32,7 +32,7 @@ def runs() -> list[Transient]:
 def test_the_claimed_error_is_the_error_there_is() -> None:
     """Root mean square of the true errors of all runs, by plain paths with their noise taken out, over that of the
     claims. The primary by quadrature errs alike in all runs, and claims at least 0.4 of what was asked."""
-    truth = PlainPaths.of(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5), 1 << 15, 99)
+    truth = PlainPaths.of(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5), 1 << 13, 99)
     names = ("primary", "secondary", "higher")
     found = [truth.check(run.total, *names) for run in runs()]
     true = np.sqrt(max(np.mean([one.square for one in found]), 0.0))
@@ -57,22 +57,21 @@ def test_errors_of_components_scatter_as_their_standard_errors_say() -> None:
     assert 0.3 < np.sqrt((ratio**2).mean()) < 1.4
 
 
-@pytest.mark.parametrize("shape", ["flat", "spike"])
+@pytest.mark.parametrize("shape", ["broad", "spike"])
 def test_what_boxes_blur_is_part_of_the_error(shape: str) -> None:
     """Gaussian replicates about a known curve: the mean of the estimated squared errors of what is returned is the
     mean of the true ones, though the width of boxes was chosen by the same replicates."""
     rng, bins = np.random.default_rng(3), 240
-    truth = np.ones(bins) if shape == "flat" else np.exp(-0.5 * ((np.arange(bins) - 100) / 1.5) ** 2)
+    truth = np.exp(-0.5 * ((np.arange(bins) - 120) / (25 if shape == "broad" else 1.5)) ** 2)
     true, claimed, plain = [], [], []
     for _ in range(200):
         each = (truth + 0.3 * rng.normal(size=(REPLICATES, 1, bins))).astype(np.float32)
         mean, error2, variance = estimated(each)
-        # The ends, where a box holds fewer bins, are what replicates cannot see.
-        true.append(float(((mean[0] - truth)[9:-9] ** 2).sum()) * bins / (bins - 18))
+        true.append(float(((mean[0] - truth) ** 2).sum()))
         claimed.append(error2)
         plain.append(float(variance.sum()))
     assert np.mean(true) == pytest.approx(np.mean(claimed), rel=0.25)
-    assert np.mean(claimed) < (0.2 if shape == "flat" else 0.8) * np.mean(plain)
+    assert np.mean(claimed) < (0.3 if shape == "broad" else 0.8) * np.mean(plain)
 
 
 def test_same_arguments_and_seed_give_the_same_bytes() -> None:
