@@ -59,8 +59,9 @@ def test_errors_of_components_scatter_as_their_standard_errors_say() -> None:
 
 @pytest.mark.parametrize("shape", ["broad", "spike"])
 def test_what_boxes_blur_is_part_of_the_error(shape: str) -> None:
-    """Gaussian replicates about a known curve: the mean of the estimated squared errors of what is returned is the
-    mean of the true ones, though the width of boxes was chosen by the same replicates."""
+    """Gaussian replicates about a known curve: squared errors are not claimed too small in the mean, though the widths
+    of boxes are chosen by what they are judged by; and too large by less than 2.5 times, as half of the replicates
+    choose widths worse than all of them."""
     rng, bins = np.random.default_rng(3), 240
     truth = np.exp(-0.5 * ((np.arange(bins) - 120) / (25 if shape == "broad" else 1.5)) ** 2)
     true, claimed, plain = [], [], []
@@ -70,8 +71,8 @@ def test_what_boxes_blur_is_part_of_the_error(shape: str) -> None:
         true.append(float(((mean[0] - truth) ** 2).sum()))
         claimed.append(error2)
         plain.append(float(variance.sum()))
-    assert np.mean(true) == pytest.approx(np.mean(claimed), rel=0.25)
-    assert np.mean(claimed) < (0.3 if shape == "broad" else 0.8) * np.mean(plain)
+    assert 0.4 < np.mean(true) / np.mean(claimed) < 1.05
+    assert np.mean(true) < (0.1 if shape == "broad" else 0.2) * np.mean(plain)
 
 
 def test_same_arguments_and_seed_give_the_same_bytes() -> None:
