@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, poisson
 from statistics_kit import accept, mean_is, poisson_like_chi2
 
 from datagen.detector import Exposure, Spad, choose_sampler, detect, expected_histogram
@@ -75,13 +75,14 @@ def test_afterpulse_gain_at_low_flux():
 
 
 def test_afterpulse_probability_is_what_it_says():
-    """Rare triggers in long cycles: a share p of avalanches is followed by another, after the dead time."""
+    """Rare triggers in long cycles: a share p of avalanches is followed by another, after the dead time and the first
+    of n releases, n Poisson with a mean of μ = −ln(1 − p)."""
     probability = 0.15
-    exposure = Exposure(repetition_rate_hz=1e4, cycles=400_000, photons_per_pulse=1.0)
+    exposure = Exposure(repetition_rate_hz=1e4, cycles=4_000_000, photons_per_pulse=1.0)
     lam = np.zeros(200)
     lam[0] = 0.01
     spad = Spad(pde=1.0, dead_time_s=200e-9, afterpulse_probability=probability, afterpulse_times_s=(5e-9,))
-    triggers = 400_000 * -np.expm1(-0.01)
+    triggers = 4_000_000 * -np.expm1(-0.01)
     wide = TimeAxis(2000, 0.5e-9)
     counts = detect(np.append(lam, np.zeros(1800)), wide, spad, exposure, seed=2)
     assert abs(counts[0] - triggers) < 6 * np.sqrt(triggers)
@@ -89,6 +90,10 @@ def test_afterpulse_probability_is_what_it_says():
     followers = counts[400:].sum()
     law = triggers * probability / (1 - probability)  # traps are empty after a dead time of forty release times
     assert abs(followers - law) < 6 * np.sqrt(law)
+    first, n = counts[400:800], np.arange(1, 20)
+    delay_s = first @ (wide.centers_s[:400] - 0.25e-9) / first.sum()
+    mean_s = 5e-9 * (poisson(-np.log1p(-probability)).pmf(n) / n).sum() / probability
+    assert delay_s == pytest.approx(mean_s, rel=5 / np.sqrt(first.sum()))
 
 
 def test_no_dead_time_is_poisson():
