@@ -233,17 +233,6 @@ def test_the_cheapest_sampler_within_its_bound_is_chosen(spad, flux, cycles, sam
     assert exact.poisson_bias == 0 or exact.sampler != "poisson"
 
 
-def test_approximate_samplers_are_chosen_only_on_request():
-    transient, exposure = np.full(64, 1.0 / 64), Exposure(1e7, 10**8, 1.0)
-    with pytest.raises(InputError, match="approximate=True"):
-        choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
-    plan = choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
-    assert plan.sampler == "multinomial" and plan.approximate
-    counts = detect(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
-    mean = expected_histogram(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
-    assert abs(counts.sum() / mean.sum() - 1) < 1e-3
-
-
 def test_samplers_are_chosen_for_each_histogram():
     transient = np.zeros((2, 1, 64))
     transient[0], transient[1] = 1e-9, 0.01

@@ -119,8 +119,10 @@ def test_wrong_sweeps_are_refused_in_a_line(sweep: Frames) -> None:
 
 @real
 def test_the_real_sweep_is_fitted_within_what_is_stated() -> None:
-    """The second and fourth quarter of the distances are held out, and tested."""
-    found = calibrate(dg.read_frames(REAL), dg.device("tmf8820"), nearest_m=0.15)
+    """Of every second frame the second and fourth quarter of the distances are held out, and tested."""
+    frames = dg.read_frames(REAL)
+    every_second = frames.some(np.arange(0, len(frames.histograms), 2))
+    found = calibrate(every_second, dg.device("tmf8820"), nearest_m=0.15)
     assert np.median(found.relative_l2) < 0.03
     assert np.median(np.abs(found.brightness_error)) < 0.008
     assert np.median(np.abs(found.peak_shift), axis=0).max() < 0.05

@@ -55,13 +55,6 @@ def test_every_number_has_its_source(name: str) -> None:
     assert all(line in str(device) for line in ("wavelength_nm", "counting.pde"))
 
 
-def test_a_device_file_is_a_device(tmp_path: Path) -> None:
-    device = dg.device("tmf8820")
-    dg.write_device(device, tmp_path / "mine.yaml")
-    again = dg.device(tmp_path / "mine.yaml")
-    assert again == device
-
-
 def test_a_measured_map_is_a_footprint(tmp_path: Path) -> None:
     """A map that holds one box gives what the box gives; a device that was read holds its map."""
     box = dg.device("vl53l1x")
