@@ -42,8 +42,7 @@ class _Approach:
         """x of the corner that hides the rest: `before_wall_m` (the dimension `key`) and a wall's thickness away."""
         corner = self.relay_distance_m - before_wall_m - thickness_m
         if corner < MINIMUM_APPROACH_M:
-            near = f"within {MINIMUM_APPROACH_M} m of the device"
-            where = f"{-corner:.2f} m behind the device" if corner < 0 else near
+            where = "behind the device" if corner < 0 else f"within {MINIMUM_APPROACH_M} m of the device"
             raise RoomDoesNotClose(
                 f"the corner that hides the rest lies {where}: raise relay_distance_m or lower {key}"
             )

@@ -167,7 +167,7 @@ def _allowed(low: float, high: float, open_low: bool) -> str:
 
 
 NotNegative = Annotated[Distribution, within(0)]
-Length = Annotated[Distribution, within(0, open_low=True)]
+Length = Annotated[Distribution, within(0, 1e5, open_low=True)]
 """A distribution of positive lengths, metres."""
 Fraction = Annotated[Distribution, within(0, 1)]
 """A distribution of values in 0 … 1, such as an albedo."""

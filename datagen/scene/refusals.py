@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 from datagen.config.distributions import Distribution, support
@@ -22,6 +23,8 @@ def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str
 
 def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
     if where == "layout":
+        for key, dimension in spec.layout.dimensions().items():
+            what = re.sub(rf"\b{key}\b", f"{key} ({_range(dimension)})", what)
         return f"{times} × scene.layout: {what}"
     i = int(where.removeprefix("contents[").removesuffix("]"))
     item = spec.contents[i]
@@ -48,7 +51,10 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
 
 
 def _sizes(i: int, item: Item) -> str:
-    return " or ".join(f"scene.contents[{i}].{name} ({_range(getattr(item, name))})" for name in item.plan_sizes())
+    """The keys that decide how much floor an object takes."""
+    given = [name for name in item.sizes if getattr(item, name) is not None]
+    given = [name for name in given if name != "height_m"] or given
+    return " or ".join(f"scene.contents[{i}].{name} ({_range(getattr(item, name))})" for name in given)
 
 
 def _range(value: Distribution) -> str:
