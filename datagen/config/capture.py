@@ -47,6 +47,12 @@ class TimeConfig(Settings):
     origin: Literal["source", "wall"] = "wall"
     """`source` counts from laser emission (both device legs included), `wall` from laser point to FoV point."""
 
+    @classmethod
+    def of(cls, axis: TimeAxis) -> TimeConfig:
+        """The settings of a time axis, rounded to twelve digits: further ones come from the conversion of units."""
+        width, start = (float(f"{value:.12g}") for value in (axis.width_s * 1e12, axis.start_s * 1e9))
+        return cls(bins=axis.bins, bin_width_ps=width, start_ns=start, origin=axis.origin)
+
     def axis(self) -> TimeAxis:
         """The time axis in seconds."""
         return TimeAxis(self.bins, self.bin_width_ps * 1e-12, self.start_ns * 1e-9, self.origin)
