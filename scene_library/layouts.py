@@ -147,7 +147,9 @@ def z_corridor(
     (low, high), end = leg.walls, leg.relay_distance_m
     corner, far = leg.corner(middle_width_m, "middle_width_m"), high + middle_length_m
     if last_width_m >= middle_length_m:
-        raise RoomDoesNotClose("the last leg is wider than the middle one is long: raise middle_length_m")
+        raise RoomDoesNotClose(
+            "the last leg is wider than the middle one is long: raise middle_length_m or lower last_width_m"
+        )
     near, exit_ = far - last_width_m, end + last_length_m
     return leg.plan([(end, low), (end, near), (exit_, near), (exit_, far), (corner, far), (corner, high)], (2, 5, 6))
 

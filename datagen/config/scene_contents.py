@@ -15,8 +15,6 @@ from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
-Angle = Annotated[Distribution, within(-360, 360)]
-ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """Names of the room's own parts."""
@@ -60,7 +58,7 @@ class Item(SurfaceMaterial):
     offset_m: Annotated[Distribution, within(-1000, 1000)] | None = None
     """Distance of the centre to the right of the middle of the relay wall's visible part, for somebody who faces the
     wall, in place of `across`."""
-    rotation_deg: Angle = ANY_ANGLE
+    rotation_deg: Annotated[Distribution, within(-360, 360)] = Uniform(uniform=(0.0, 360.0))
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
