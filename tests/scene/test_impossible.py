@@ -76,7 +76,10 @@ WHEN_DRAWN: list[tuple[dict[str, Any], list[str]]] = [
     ),
     (
         {"contents": [{"kind": "box", "height_m": 9}]},
-        ["20 × scene.contents[0] (box) did not fit between floor and ceiling: lower scene.contents[0].height_m"],
+        [
+            "20 × scene.contents[0] (box) did not fit between floor and ceiling",
+            "lower scene.contents[0].height_m (9)",
+        ],
     ),
     (
         {"layout": {"kind": "l_corridor", "room_length_m": 9}},
