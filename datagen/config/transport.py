@@ -9,7 +9,7 @@ from pydantic import Field
 from datagen.config.base import Settings
 from datagen.errors import InputError
 from datagen.records import Accuracy
-from datagen.records.accuracy import CHOSEN_BY_TARGET, LIMITS, MAX_BOUNCES, TARGETS, chosen_by_target
+from datagen.records.accuracy import LIMITS, MAX_BOUNCES, TARGETS
 
 
 def _within(name: str) -> Any:
@@ -48,13 +48,10 @@ class TransportConfig(Settings):
 
     def accuracy(self) -> Accuracy:
         """The record of this section that `simulate` takes."""
-        others = ("target", "part_target", "max_lookins") if self.target is None else CHOSEN_BY_TARGET
-        return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields if name not in others})
+        return Accuracy(**{name: getattr(self, name) for name in self.changed()})
 
     def _check(self) -> None:
-        if self.part_target is not None and self.target is None:
-            raise InputError(f"part_target = {self.part_target}: needs a target; set target, too")
-        if self.target is not None:
-            for name in self.changed(*CHOSEN_BY_TARGET):
-                raise InputError(chosen_by_target("", name, getattr(self, name)))
-        self.accuracy()
+        try:
+            self.accuracy()
+        except InputError as error:
+            raise ValueError(str(error).replace("Accuracy.", "")) from None

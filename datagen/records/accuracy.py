@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 from datagen.errors import InputError
 from datagen.records.checks import check_choice, check_flag, check_integer, check_number, shown
@@ -141,15 +141,13 @@ class Accuracy:
         """Refuse counts that were given with a target, which chooses them."""
         for name in CHOSEN_BY_TARGET:
             if not isinstance(getattr(self, name), _Default):
-                raise InputError(chosen_by_target("Accuracy.", name, getattr(self, name)))
+                self._refuse_beside_target(name)
         if self.observed is not None and self.strongest is None:
-            raise InputError(chosen_by_target("Accuracy.", "observed", self.observed))
+            self._refuse_beside_target("observed")
         object.__setattr__(self, "fov_samples", _Default(FIRST_FOV_SAMPLES))
 
-
-def chosen_by_target(prefix: str, name: str, value: object) -> str:
-    """The error message where both a target and a sample count that it chooses are given."""
-    return (
-        f"{prefix}{name} = {value!r}: given together with {prefix}target, which wins and chooses it; "
-        f"leave out {name}, or leave out target to fix the counts yourself"
-    )
+    def _refuse_beside_target(self, name: str) -> NoReturn:
+        raise InputError(
+            f"Accuracy.{name} = {getattr(self, name)!r}: given together with Accuracy.target, which wins and chooses "
+            f"it; leave out {name}, or leave out target to fix the counts yourself"
+        )

@@ -129,7 +129,7 @@ FOR = r"^detector\.exposure_for = \{evidence: .*"
             FOR + "more than uint32 holds; set a wider",
         ),
         ({"exposure_for": {"evidence": 1e6, "longest_s": 1e6}}, None, FOR + "no exposure has more than"),
-        ({"exposure_for": {"evidence": 5}, "cycles": 1000}, None, "cycles and exposure_for are both given"),
+        ({"exposure_for": {"evidence": 5}, "cycles": 1000}, None, "exposure_for and cycles are both given"),
         ({"found_for": {"evidence": 5}}, None, "set exposure_for"),
         ({"exposure_for": {"evidence": 5, "quantile": 1}}, None, r"detector.exposure_for.quantile = 1"),
         ({"exposure_for": {"evidence": 0}}, None, r"detector.exposure_for.evidence = 0"),

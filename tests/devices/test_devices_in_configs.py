@@ -104,7 +104,10 @@ def test_a_file_stands_beside_its_configuration_and_its_map_is_stored(tmp_path: 
         ("field_of_view beside device", {"capture": {"field_of_view": {"aperture_radius_mm": 3}}}),
         ("time beside device", {"capture": {"time": {"bins": 64}}}),
         ("laser_offset_m beside device", {"capture": {"laser_offset_m": [0, 0, 0.1]}}),
-        ("at_objects: both say where", {"capture": {"at_objects": {}, "sensor_offset_m": [0, 0, 0.1]}}),
+        (
+            "at_objects and sensor_offset_m are both given",
+            {"capture": {"at_objects": {}, "sensor_offset_m": [0, 0, 0.1]}},
+        ),
         ("scene.wavelength_nm = 532 .* 940 nm", {"scene": {"wavelength_nm": 532}}),
         ("a target is met for zones of even sensitivity only", {"transport": {"target": 0.1}}),
         ("detector_class = 'any' beside capture.device", {"detector": {"detector_class": "any"}}),
