@@ -15,8 +15,8 @@ CONFIG ?= configs/quickstart.yaml
 OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
-.PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly hard-cases bench bench-scaling \
-	bench-detector bench-loaders bench-evidence bench-foreign bench-targets bench-promise bench-peers peers \
+.PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
+	bench-detector bench-loaders bench-evidence bench-targets bench-promise bench-peers peers \
 	wheel wheel-demo clean
 
 help:
@@ -26,11 +26,11 @@ help:
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style"
 	@echo "make generated  remake configs/schema.json, docs/api.md and docs/materials.md from the sources"
-	@echo "make fuzz    thousands of random cases (SEED=…);  make hard-cases  where the obvious formula fails"
+	@echo "make fuzz    thousands of random cases (SEED=…)"
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -evidence, -foreign, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -evidence, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -96,10 +96,7 @@ nightly: setup
 	$(BIN)/python tests/store/harm_table.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
-hard-cases: setup
-	$(BIN)/python tests/stability/hard_case_table.py
-
-bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-foreign bench-targets bench-promise bench-peers
+bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-targets bench-promise bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
@@ -112,10 +109,6 @@ bench-detector: setup
 
 bench-loaders: setup
 	$(BIN)/python tests/benchmarks/loaders.py
-
-
-bench-foreign: setup
-	$(BIN)/python tests/benchmarks/foreign_rooms.py
 
 bench-evidence: setup
 	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml

@@ -42,8 +42,7 @@ class _Approach:
         """x of the corner that hides the rest: `before_wall_m` (the dimension `key`) and a wall's thickness away."""
         corner = self.relay_distance_m - before_wall_m - thickness_m
         if corner < MINIMUM_APPROACH_M:
-            near = f"within {MINIMUM_APPROACH_M} m of the device"
-            where = f"{-corner:.2f} m behind the device" if corner < 0 else near
+            where = "behind the device" if corner < 0 else f"within {MINIMUM_APPROACH_M} m of the device"
             raise RoomDoesNotClose(
                 f"the corner that hides the rest lies {where}: raise relay_distance_m or lower {key}"
             )
@@ -148,7 +147,9 @@ def z_corridor(
     (low, high), end = leg.walls, leg.relay_distance_m
     corner, far = leg.corner(middle_width_m, "middle_width_m"), high + middle_length_m
     if last_width_m >= middle_length_m:
-        raise RoomDoesNotClose("the last leg is wider than the middle one is long: raise middle_length_m")
+        raise RoomDoesNotClose(
+            "the last leg is wider than the middle one is long: raise middle_length_m or lower last_width_m"
+        )
     near, exit_ = far - last_width_m, end + last_length_m
     return leg.plan([(end, low), (end, near), (exit_, near), (exit_, far), (corner, far), (corner, high)], (2, 5, 6))
 

@@ -6,14 +6,24 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.records import Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
+from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
+
+ONE_BOUNCE = Accuracy(lookins=1, replicates=1, max_bounces=1, direct=True)
+"""Light of the first return alone, which has no noise."""
 
 
 def rectangle(center: ArrayLike, right: ArrayLike, up: ArrayLike) -> trimesh.Trimesh:
     """Two triangles spanning center ± right ± up."""
     c, r, u = (np.asarray(v, float) for v in (center, right, up))
     return trimesh.Trimesh([c - r - u, c + r - u, c + r + u, c - r + u], [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def plane_ahead(metres: float, albedo: float = 0.8) -> Scene:
+    """A wide plane so far ahead along x, which faces the origin."""
+    at = trimesh.transformations.translation_matrix((metres + 0.01, 0, 0))
+    plane = trimesh.creation.box((0.02, 20, 20), at)
+    return Scene.from_parts([Part("plane", plane, Lambertian(albedo), "relay_wall")])
 
 
 def square_pixels(centers: ArrayLike, half_side_m: float) -> NDArray[np.float64]:

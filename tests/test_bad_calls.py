@@ -171,11 +171,7 @@ BAD: dict[str, tuple[str, Callable[[], object]]] = {
     # Configuration made in Python
     "a key of another section": ("SceneConfig: rows: unknown key", lambda: dg.SceneConfig(rows=3)),
     "an unknown layout": ("layout: kind = 'attic'", lambda: dg.SceneConfig(layout={"kind": "attic"})),
-    "a section by place": ("takes keys by name", lambda: dg.SceneConfig({"contents": ()})),
     "objects in a list": ("SceneConfig: contents", lambda: dg.SceneConfig(contents=[])),
-    "an object too large": (
-        "footprint", lambda: dg.SceneConfig(contents=({"kind": "box", "width_m": 90.0, "depth_m": 90.0},)),
-    ),
     "scenes in words": ("DatasetConfig: scenes = 'many'", lambda: dg.DatasetConfig(scenes="many")),
     "a section of a number": ("DatasetConfig: capture = 3", lambda: dg.DatasetConfig(capture=3)),
     "a scan of no kind": (

@@ -19,9 +19,9 @@ from pathlib import Path
 
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
-from datagen.building.jobs import TICK_S, Jobs, SampleFunction
+from datagen.building.jobs import TICK_S, Jobs
 from datagen.building.progress import Progress
-from datagen.building.shard_job import LONGEST_SCENE_S
+from datagen.building.shard_job import LONGEST_SCENE_S, Recipe, SampleFunction
 from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
@@ -36,8 +36,6 @@ from datagen.store.summaries import placed_anew_lines
 NOISY = 0.2
 """Median relative error of a dataset's transients above which a build warns: about where the noise of the simulation
 is no longer small beside the photon noise of an ordinary exposure."""
-
-COMPILED_ONCE = "once after an installation or a change of the sources"
 
 
 @dataclass(frozen=True)
@@ -137,7 +135,10 @@ def build(
         plan = store.planned(root, config)
         store.check_writable(root)
         wanted = parse_shards(shards, plan.schema.shards)
-        there = store.committed(root, plan, hashes=True)
+        # The bytes of shards that are not wanted stay as they are, so nothing is gained by reading them.
+        asked = {*wanted}
+        found = store.committed(root, plan)
+        there = [record for record in found if record.shard not in asked or record.problem(root) is None]
         if not accept_mixed:
             _check_unmixed(root, there)
         if sample_function is None:
@@ -153,8 +154,9 @@ def build(
                     _compile(running, workers, sample_function, config, shown)
                 manifest = store.prepare(root, config)
                 output.begin(manifest)
-                jobs = Jobs(config, output, manifest, running, sample_function, accept_mixed, scene_seconds, shown)
-                kept = jobs.run(wanted, there)
+                made_by = None if accept_mixed else made_with()
+                recipe = Recipe(root.resolve(), config, manifest, sample_function, made_by, scene_seconds)
+                kept = Jobs(recipe, output, running, shown).run(wanted, there)
             records = store.committed(root, manifest)
             complete = len(records) == manifest.schema.shards
             (store.finish if complete else store.write_card)(root, manifest, records)
@@ -175,13 +177,14 @@ def build(
 
 def _compile(engine: Engine, workers: int, sample: SampleFunction, config: DatasetConfig, shown: Progress) -> None:
     """Let one worker fill the cache of compiled kernels, or each of several would compile all of them."""
+    once = "once after an installation or a change of the sources"
     if workers == 1:
-        shown.say(f"the first scene compiles, {COMPILED_ONCE}")
+        shown.say(f"the first scene compiles, {once}")
         return
     # An error of this scene shows when the scene is built.
     compiling = engine.submit(sample, config, 0)
     while not wait([compiling], TICK_S).done:
-        shown.doing(f"compiling, {COMPILED_ONCE}")
+        shown.doing(f"compiling, {once}")
 
 
 def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> None:

@@ -91,20 +91,16 @@ class LocalProcesses:
         # One thread waits for each worker.
         self._threads = ThreadPoolExecutor(workers)
         self._workers: list[_Worker] = []
-        self._busy: dict[Future[Any], _Worker] = {}
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """The future of a job; at most `capacity` jobs may be under way."""
-        self._busy = {future: worker for future, worker in self._busy.items() if not future.done()}
-        busy = self._busy.values()
-        worker = next((worker for worker in self._workers if not worker.died and worker not in busy), None)
+        worker = next((worker for worker in self._workers if not worker.died and worker.job.done()), None)
         if worker is None:
             with _starting():
                 worker = _Worker()
                 self._workers.append(worker)
-        future = self._threads.submit(worker.run, function, arguments)
-        self._busy[future] = worker
-        return future
+        worker.job = self._threads.submit(worker.run, function, arguments)
+        return worker.job
 
     def restore(self, say: Callable[[str], None]) -> None:
         """Nothing cancels a job here."""
@@ -123,7 +119,9 @@ class LocalProcesses:
 
 
 class _Worker:
-    """One worker process, and our end of the pipe to it."""
+    """One worker process, our end of the pipe to it, and its latest job."""
+
+    job: Future[Any]
 
     def __init__(self) -> None:
         self.pipe, theirs = _CONTEXT.Pipe()

@@ -10,23 +10,17 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from datagen import store
 from datagen.building.engines import Engine, WorkerDied
 from datagen.building.progress import Progress
-from datagen.building.shard_job import ShardJob, abandon_shard, make_scene, overtime, run_shard
-from datagen.config import DatasetConfig
+from datagen.building.shard_job import Recipe, abandon_shard, make_scene, overtime, run_shard
 from datagen.errors import CheckError
-from datagen.records import Sample
 from datagen.store import upload
-from datagen.store.environment import made_with
-
-SampleFunction = Callable[[DatasetConfig, int], Sample]
 
 DEATHS_ALLOWED = 2
 """Worker processes that may die while they make the same scene before the build gives that scene up. One may die for
@@ -51,59 +45,44 @@ class Jobs:
 
     waiting : what is to be made, the next one first.
     running : future → what its job makes.
-    begun : shards that were handed out and are not committed. An interruption (Ctrl-C) may come after a job was
-        submitted and before its future is in `running`; the shard is in this set by then.
+    started : shard that was handed out and is not committed → Unix time of that. An interruption (Ctrl-C) may come
+        after a job was submitted and before its future is in `running`; the shard is here by then.
     retried : committed shard → its scenes that failed, which alone are made.
     known : divided shard → scene → pickled sample, or why there is none.
-    started : divided shard → Unix time at which its first scene was handed out.
     finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
     deaths : scene → workers that died while they made it.
     deaths_between : workers in a row that died otherwise.
     """
 
-    config: DatasetConfig
+    recipe: Recipe
     output: upload.Output
-    manifest: store.Manifest
     engine: Engine
-    sample_function: SampleFunction
-    accept_mixed: bool
-    scene_seconds: float | None
     progress: Progress
     waiting: deque[Task] = field(default_factory=deque)
     running: dict[Future[Any], Task] = field(default_factory=dict)
-    begun: set[int] = field(default_factory=set)
+    started: dict[int, float] = field(default_factory=dict)
     retried: dict[int, list[int]] = field(default_factory=dict)
     known: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
-    started: dict[int, float] = field(default_factory=dict)
     finished: int = 0
     made: int = 0
     failed: int = 0
     deaths: Counter[int] = field(default_factory=Counter)
     deaths_between: int = 0
 
-    @property
-    def root(self) -> Path:
-        """The dataset's folder."""
-        return self.output.folder
-
-    @property
-    def schema(self) -> store.Schema:
-        """Shape and division of the dataset."""
-        return self.manifest.schema
-
     def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:
         """Make the wanted shards; returns how many of them were there before with all scenes."""
+        root, size = self.recipe.root, self._size
         whole = {record.shard for record in there if not record.failures}
         for shard in whole:
-            store.running_path(self.root, shard).unlink(missing_ok=True)
+            store.running_path(root, shard).unlink(missing_ok=True)
         self.waiting.extend(Task(shard) for shard in wanted if shard not in whole)
         kept = len(wanted) - len(self.waiting)
         if not self.waiting:
             return kept
-        store.forget_complete(self.root)
-        store.write_card(self.root, self.manifest, there)
-        self.finished = sum(len(self.schema.scenes_of(shard)) for shard in wanted if shard in whole)
-        self.progress.begin(sum(len(self.schema.scenes_of(shard)) for shard in wanted), self.finished)
+        store.forget_complete(root)
+        store.write_card(root, self.recipe.manifest, there)
+        self.finished = sum(size(shard) for shard in wanted if shard in whole)
+        self.progress.begin(sum(map(size, wanted)), self.finished)
         if kept:
             self.progress.say(f"{kept} of {len(wanted)} shards are there already")
         self.retried = {record.shard: sorted(record.failures) for record in there if record.failures}
@@ -119,18 +98,21 @@ class Jobs:
         except BaseException:
             # The writers must be gone before their files are removed.
             self.engine.close(kill=True)
-            for shard in self.begun:
-                self._clear(shard)
+            for shard in self.started:
+                abandon_shard(self.recipe, shard)
             raise
         return kept
 
     def _scenes(self, shard: int) -> Sequence[int]:
         """The scenes that are made before a shard is written."""
-        return self.retried.get(shard) or self.schema.scenes_of(shard)
+        return self.retried.get(shard) or self.recipe.manifest.schema.scenes_of(shard)
+
+    def _size(self, shard: int) -> int:
+        return len(self.recipe.manifest.schema.scenes_of(shard))
 
     def _divide(self, shard: int) -> None:
         """Let the scenes of a shard be the next jobs."""
-        self.known[shard], self.started[shard] = {}, time.time()
+        self.known[shard] = {}
         self.waiting.extendleft(Task(shard, scene) for scene in reversed(self._scenes(shard)))
 
     def _hand_out(self) -> None:
@@ -140,22 +122,22 @@ class Jobs:
             self._divide(task.shard)
             task = self.waiting.popleft()
         shard = task.shard
-        self.begun.add(shard)
-        job = ShardJob(
-            self.root.resolve(), self.config, self.schema, self.manifest.fingerprint, shard, self.sample_function,
-            submitted=time.time(), known=self.known.get(shard, {}) if task.scene is None else {},
-            started=self.started.get(shard), made_with=None if self.accept_mixed else made_with(),
-            scene_seconds=self.scene_seconds,
-        )  # fmt: skip
-        call = (run_shard, job) if task.scene is None else (make_scene, job, task.scene)
-        self.running[self.engine.submit(*call)] = task
+        now = time.time()
+        self.started.setdefault(shard, now)
+        if task.scene is not None:
+            future = self.engine.submit(make_scene, self.recipe, task.scene)
+        else:
+            # Of a shard that is not divided the worker notes itself when it begins.
+            divided = (self.known[shard], self.started[shard]) if shard in self.known else ()
+            future = self.engine.submit(run_shard, self.recipe, shard, now, *divided)
+        self.running[future] = task
 
     def _take_in(self, future: Future[Any]) -> None:
         """Take the result of a job in; a job that was cancelled or whose worker died is put back."""
         task = self.running.pop(future)
         if future.cancelled():
             self.engine.restore(self.progress.say)
-            self._clear(task.shard)
+            abandon_shard(self.recipe, task.shard)
             self.waiting.appendleft(task)
         elif isinstance(future.exception(), self.engine.deaths):
             self._after_death(task, future.exception())
@@ -174,13 +156,14 @@ class Jobs:
     def _take_shard(self, shard: int, failures: dict[int, str]) -> None:
         """A shard is committed. Raises `CheckError` if no scene of the build could be made so far."""
         self.deaths_between = 0
-        for record in store.committed(self.root, self.manifest, [shard]) if self.output.bucket else ():
+        of = self.recipe
+        for record in store.committed(of.root, of.manifest, [shard]) if self.output.bucket else ():
             self.output.put_shard(record)
         self.known.pop(shard, None)
-        self.begun.discard(shard)
-        size = len(self.schema.scenes_of(shard))
+        del self.started[shard]
+        size = self._size(shard)
         self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(failures)
-        if self.failed == self.made >= min(HOPELESS, self.schema.scenes):
+        if self.failed == self.made >= min(HOPELESS, of.manifest.schema.scenes):
             scene, reason = min(failures.items())
             stops = f"all of the first {self.made} scenes failed, so the build stops"
             raise CheckError(f"{stops}; scene {scene}: {reason}")
@@ -189,7 +172,7 @@ class Jobs:
         """Put the job of a dead worker back, unless its scene is given up. Raises `CheckError` if workers keep dying
         without making a scene."""
         if task.scene is None:
-            self._clear(task.shard)
+            abandon_shard(self.recipe, task.shard)
             if task.shard not in self.known:
                 # Which scene was the cause shows when they are made one by one.
                 self._divide(task.shard)
@@ -205,9 +188,10 @@ class Jobs:
             self.waiting.appendleft(task)
             return
         self.deaths[task.scene] += 1
-        if self.scene_seconds is not None and seconds > self.scene_seconds:
+        limit = self.recipe.scene_seconds
+        if limit is not None and seconds > limit:
             # No exception could reach the scene, so its worker ended itself.
-            self._take_scene(task.shard, task.scene, overtime(self.scene_seconds))
+            self._take_scene(task.shard, task.scene, overtime(limit))
         elif self.deaths[task.scene] >= DEATHS_ALLOWED:
             why = f"{DEATHS_ALLOWED} worker processes died over it (killed, or out of memory)"
             self._take_scene(task.shard, task.scene, why)
@@ -218,10 +202,3 @@ class Jobs:
         """Show how many scenes are made, and which ones are in work."""
         in_work = [task.scene for task in self.running.values() if task.scene is not None]
         self.progress.update(self.finished + sum(map(len, self.known.values())), in_work, self.failed)
-
-    def _clear(self, shard: int) -> None:
-        """Remove the files of an unfinished shard, unless it was committed at the last moment."""
-        if store.committed(self.root, self.manifest, [shard]):
-            store.running_path(self.root, shard).unlink(missing_ok=True)
-        else:
-            abandon_shard(self.root, self.schema, shard)

@@ -10,8 +10,9 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
@@ -20,11 +21,10 @@ from datagen.locks import locked
 from datagen.records import Sample
 from datagen.store import (
     DatasetReader,
-    Schema,
+    Manifest,
     ShardRecord,
     committed,
     discard_shard,
-    read_manifest,
     running_path,
     write_shard,
 )
@@ -37,90 +37,85 @@ LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 10.0
 """Seconds to wait for another writer of the same shard, such as a worker of a killed build, which ends within 3 s."""
 
+Known = Mapping[int, bytes | str]
+"""Scene → what `make_scene` returned for it, or why it is given up."""
+Samples = Iterable[tuple[int, Sample | str]]
+"""Index of a scene and its sample, or one line on why there is none; of some scenes."""
+SampleFunction = Callable[[DatasetConfig, int], Sample]
+
 
 @dataclass(frozen=True)
-class ShardJob:
-    """The input of a job, as it is sent to a worker.
+class Recipe:
+    """What the jobs of a build have in common, as it is sent to workers.
 
     root : the dataset's folder.
-    submitted : Unix time at which the job was submitted.
-    known : scene → what `make_scene` returned for it, or why it is given up; other scenes the job makes itself.
-    started : Unix time at which the first of the known scenes was begun; None if there are none.
     made_with : the environment of the other shards; None if any mixture is accepted.
     scene_seconds : time limit of a scene; None: no limit.
     """
 
     root: Path
     config: DatasetConfig
-    schema: Schema
-    fingerprint: str
-    shard: int
-    sample_function: Callable[[DatasetConfig, int], Sample]
-    submitted: float
-    known: Mapping[int, bytes | str] = field(default_factory=dict)
-    started: float | None = None
+    manifest: Manifest
+    sample_function: SampleFunction
     made_with: Mapping[str, str] | None = None
     scene_seconds: float | None = None
 
 
-def make_scene(job: ShardJob, index: int) -> bytes | str:
-    """One scene of a shard as a pickled sample, or one line on why there is none."""
-    _check_environment(job)
-    sample = _attempt(job, index)
+def make_scene(recipe: Recipe, index: int) -> bytes | str:
+    """One scene as a pickled sample, or one line on why there is none."""
+    _check_environment(recipe)
+    sample = _attempt(recipe, index)
     try:
         return sample if isinstance(sample, str) else pickle.dumps(sample)
     except Exception as error:
         return f"not a sample: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def run_shard(job: ShardJob) -> dict[int, str]:
+def run_shard(
+    recipe: Recipe, shard: int, submitted: float, known: Known = MappingProxyType({}), started: float | None = None
+) -> dict[int, str]:
     """Make the scenes of a shard that are not known, and commit it; returns scene → reason for those that failed.
 
     In a shard that is committed already only the failed scenes are tried again.
+
+    submitted : Unix time at which the job was submitted.
+    known : scenes that are made, or given up, already.
+    started : Unix time at which the first of the known scenes was begun; None if there are none.
     """
-    path = running_path(job.root, job.shard)
-    _check_environment(job)
+    root, manifest = recipe.root, recipe.manifest
+    path = running_path(root, shard)
+    _check_environment(recipe)
     with _sole_writer(path, LOCK_PATIENCE_S):
-        record = _committed(job)
+        record = next(iter(committed(root, manifest, [shard], hashes=True)), None)
         # A record that is newer than the job was committed by another build, or by this job before its result got
         # lost.
-        if record is None or (record.failures and record.finished <= job.submitted):
-            scenes = job.schema.scenes_of(job.shard)
-            samples = _samples(job, scenes) if record is None else _with_failed_retried(job, record)
-            made_by = made_with() if record is None else joined(record.made_by, made_with())
+        if record is None or (record.failures and record.finished <= submitted):
+            samples: Samples | None = _samples(recipe, manifest.schema.scenes_of(shard), known)
+            made_by = made_with()
+            if record is not None:
+                samples, made_by = _with_failed_retried(recipe, record, known), joined(record.made_by, made_by)
             if samples is not None:
-                where = (job.root, job.schema, job.shard, job.fingerprint)
-                record = write_shard(*where, samples, made_by, job.started)
+                record = write_shard(root, manifest.schema, shard, manifest.fingerprint, samples, made_by, started)
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
 
 
-def _check_environment(job: ShardJob) -> None:
+def _check_environment(recipe: Recipe) -> None:
     """Raise `CheckError` if the environment of this worker may give other bytes than that of the other shards."""
-    differing = mixed([job.made_with, made_with()]) if job.made_with is not None else []
+    differing = [] if recipe.made_with is None else mixed([recipe.made_with, made_with()])
     if differing:
         raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
 
 
-def _committed(job: ShardJob) -> ShardRecord | None:
-    """The record of the shard if it is sound and its environment is accepted; else None."""
-    for record in committed(job.root, read_manifest(job.root), [job.shard], hashes=True):
-        alike = job.made_with is None or not mixed([record.made_by, made_with()])
-        if record.fingerprint == job.fingerprint and alike:
-            return record
-    return None
-
-
-def _with_failed_retried(job: ShardJob, record: ShardRecord) -> list[tuple[int, Sample | str]] | None:
+def _with_failed_retried(recipe: Recipe, record: ShardRecord, known: Known) -> Samples | None:
     """(index, sample) of all scenes of a shard: the failed ones made again, the others as stored. None if all of the
     failed scenes failed again."""
-    anew = dict(_samples(job, record.failures))
+    anew = dict(_samples(recipe, record.failures, known))
     if not any(isinstance(sample, Sample) for sample in anew.values()):
         return None
-    manifest = read_manifest(job.root)
-    names = manifest.schema.by_name
-    reader = DatasetReader(job.root, manifest, names)
+    names = recipe.manifest.schema.by_name
+    reader = DatasetReader(recipe.root, recipe.manifest, names)
     for scene in record.scenes:
         if scene.failure is None:
             arrays = {name: reader.read(name, [scene.index])[0] for name in names}
@@ -128,32 +123,34 @@ def _with_failed_retried(job: ShardJob, record: ShardRecord) -> list[tuple[int, 
     return sorted(anew.items())
 
 
-def abandon_shard(root: Path, schema: Schema, shard: int) -> None:
-    """Remove the files of a shard whose writer died, unless another writer has locked the shard."""
-    path = running_path(root, shard)
+def abandon_shard(recipe: Recipe, shard: int) -> None:
+    """Remove the files of a shard whose writer died, unless it was committed at the last moment, or another writer
+    has locked the shard."""
+    path = running_path(recipe.root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
-        discard_shard(root, schema, shard)
+        if not committed(recipe.root, recipe.manifest, [shard]):
+            discard_shard(recipe.root, recipe.manifest.schema, shard)
         path.unlink(missing_ok=True)
 
 
-def _samples(job: ShardJob, scenes: Iterable[int]) -> Iterator[tuple[int, Sample | str]]:
+def _samples(recipe: Recipe, scenes: Iterable[int], known: Known) -> Samples:
     """(index, sample or reason) of some scenes of a shard, one after the other: those not known are made here."""
     for index in scenes:
-        known = job.known.get(index)
-        if known is None:
-            yield index, _attempt(job, index)
+        outcome = known.get(index)
+        if outcome is None:
+            yield index, _attempt(recipe, index)
         else:
-            yield index, known if isinstance(known, str) else pickle.loads(known)
+            yield index, outcome if isinstance(outcome, str) else pickle.loads(outcome)
 
 
-def _attempt(job: ShardJob, index: int) -> Sample | str:
+def _attempt(recipe: Recipe, index: int) -> Sample | str:
     """The sample, or one line on why there is none. After an error the scene is tried once more, except for bad input
     and a scene that took too long."""
     reason = ""
     for _ in range(2):
         try:
-            with limited(job.scene_seconds):
-                return job.sample_function(job.config, index)
+            with limited(recipe.scene_seconds):
+                return recipe.sample_function(recipe.config, index)
         except (InputError, Overtime) as error:
             return str(error)
         except Ended:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import pydantic
 from pydantic import BaseModel, ConfigDict, ValidationInfo, model_validator
 
 from datagen.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class Settings(BaseModel):
@@ -29,13 +32,11 @@ class Settings(BaseModel):
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
-    def __init__(self, /, *values: Any, **named: Any) -> None:
-        if values:
-            raise InputError(f"{type(self).__name__}: takes keys by name, as in {type(self).__name__}(key=value)")
+    def __init__(self, /, **values: Any) -> None:
         try:
-            super().__init__(**named)
+            super().__init__(**values)
         except pydantic.ValidationError as error:
-            raise_input_error(type(self).__name__, error, type(self))
+            raise _input_error(type(self).__name__, error, type(self)) from None
 
     # As pydantic marks its own: a section inside another one is then made without it, and what is wrong there becomes
     # an error of the outer section, with the whole path of the key.
@@ -49,14 +50,34 @@ class Settings(BaseModel):
         self._check()
         return self
 
-    def changed(self, *keys: str) -> list[str]:
-        """Those of the keys whose value is not the default.
+    def changed(self) -> list[str]:
+        """The keys whose value is not the default.
 
         Keys that exclude each other are compared by this: a dataset's own configuration has every key, and must be
         readable again.
         """
-        fields = type(self).model_fields
-        return [key for key in keys if getattr(self, key) != fields[key].default]
+        return [key for key, field in type(self).model_fields.items() if getattr(self, key) != field.default]
+
+    def _only_one_of(self, key: str, *others: str) -> None:
+        """Raise `ValueError` where a key is given together with one of the others."""
+        changed = self.changed()
+        for other in others:
+            if key in changed and other in changed:
+                raise ValueError(f"{key} and {other} are both given, and only one of them can hold; leave one out")
+
+
+def from_plain(model: type[Model], values: Any, source: str, base_directory: str | Path, **context: Any) -> Model:
+    """The model of plain values, as YAML gives them; raises `InputError` that begins with `source`.
+
+    base_directory : where relative paths start. context : further entries of the validation context.
+    """
+    try:
+        # JSON mode: strict about types, yet a list may stand for a tuple.
+        return model.model_validate_json(json.dumps(values), context={"base_directory": base_directory, **context})
+    except pydantic.ValidationError as error:
+        raise _input_error(source, error, model) from None
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{source}: holds a value that is no text, number, list or mapping ({error})") from None
 
 
 def folder_of(info: ValidationInfo) -> Path:
@@ -64,48 +85,58 @@ def folder_of(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("base_directory") or ".")
 
 
-def raise_input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> NoReturn:
-    """Raise `InputError` for the first problem in `error`: source, key, value, what is allowed."""
+def _input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> InputError:
+    """The first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)
     # An unknown key is often the cause of a missing one, so it is named first.
     details.sort(key=lambda d: d["type"] != "extra_forbidden")
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    raise InputError(f"{source}: {_explain(details[0], model)}{more}") from None
+    return InputError(f"{source}: {_explain(details[0], model)}{more}")
 
 
 def _explain(detail: Any, model: type[BaseModel]) -> str:
     problem, value, context, location = detail["type"], detail["input"], detail.get("ctx", {}), detail["loc"]
-    if problem == "extra_forbidden":
-        parent, models = _place_of(location[:-1], model)
-        known = sorted({name for one in models for name in one.model_fields})
-        gone = next((one.gone[location[-1]] for one in models if location[-1] in getattr(one, "gone", {})), "")
-        hint = gone or near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
-        key = f"{parent}.{location[-1]}" if parent else location[-1]
-        return f"{key}: unknown key{f' in {parent!r}' if parent else ''}; {hint}"
-    key, models = _place_of(location, model)
-    if problem == "missing":
-        return f"{key}: missing; this key is required"
+    # A key that no model has stands at the end of its own location.
+    key, models = _place_of(location[:-1] if problem == "extra_forbidden" else location, model)
     kinds = [tag_of(one) for one in models if issubclass(one, Settings) and one.is_offered]
-    if problem == "union_tag_invalid":
-        kind = context["tag"]
-        return f"{key}: kind = {kind!r} is unknown; {near_hint(kind, kinds)}It must be one of {', '.join(kinds)}"
-    if problem == "union_tag_not_found" and isinstance(value, dict):
-        return f"{key}: the key kind is missing; it must be one of {', '.join(kinds)}"
-    if problem == "value_error" and "error" in context:
-        return f"{key + ': ' if key else ''}{context['error']}"
-    message = str(detail["msg"])
-    if problem in ("dict_type", "model_type", "model_attributes_type", "union_tag_not_found"):
-        with_kind = f" with the key kind, one of {', '.join(kinds)}" if len(kinds) > 1 else ""
-        message = f"a mapping is needed{with_kind}"
+    match problem:
+        case "extra_forbidden":
+            known = sorted({name for one in models for name in one.model_fields})
+            gone = next((one.gone[location[-1]] for one in models if location[-1] in getattr(one, "gone", {})), "")
+            hint = gone or near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
+            return f"{key and f'{key}.'}{location[-1]}: unknown key; {hint}"
+        case "missing":
+            return f"{key}: missing; this key is required"
+        case "union_tag_invalid":
+            kind = context["tag"]
+            return f"{key}: kind = {kind!r} is unknown; {near_hint(kind, kinds)}It must be one of {', '.join(kinds)}"
+        case "value_error":
+            return f"{key and f'{key}: '}{context['error']}"
+        case "dict_type" | "model_type" | "model_attributes_type" | "union_tag_not_found":
+            with_kind = f" with the key kind, one of {', '.join(kinds)}" if len(kinds) > 1 else ""
+            message = f"a mapping is needed{with_kind}"
+        case _:
+            message = detail["msg"][:1].lower() + detail["msg"][1:]
     kind = "mapping" if isinstance(value, dict) else type(value).__name__
     shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {kind}"
-    return f"{key} = {shown}: {message[:1].lower()}{message[1:]}"
+    return f"{key} = {shown}: {message}"
 
 
 def near_hint(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
     """`did you mean '…'? ` with the known name that is most alike; empty where none is."""
     near = difflib.get_close_matches(name, [*known], n=1, cutoff=cutoff)
     return f"did you mean {near[0]!r}? " if near else ""
+
+
+def check_known(name: str, known: Iterable[str], what: str, groups: Iterable[str] = ()) -> None:
+    """Raise `ValueError` for a name that is neither known nor a group of such names.
+
+    what : what the name is not, such as "a material". The message has the name that is most alike; if there is none,
+    all groups, or all that is known.
+    """
+    if name not in known and name not in groups:
+        listed = f"there are {', '.join(groups or known)}"
+        raise ValueError(f"{name!r} is not {what}; {near_hint(name, [*groups, *known], 0.4).rstrip() or listed}")
 
 
 def _place_of(location: Sequence[int | str], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:

@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from datagen.config.base import Settings, folder_of
-from datagen.config.device import DeviceConfig, device_of, read_device
+from datagen.config.base import Settings, folder_of, from_plain
+from datagen.config.device import DeviceConfig, read_device
 from datagen.config.distributions import Distribution, Length, Uniform, within
 from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
 from datagen.records import TimeAxis
@@ -47,6 +47,12 @@ class TimeConfig(Settings):
     origin: Literal["source", "wall"] = "wall"
     """`source` counts from laser emission (both device legs included), `wall` from laser point to FoV point."""
 
+    @classmethod
+    def of(cls, axis: TimeAxis) -> TimeConfig:
+        """The settings of a time axis, rounded to twelve digits: further ones come from the conversion of units."""
+        width, start = (float(f"{value:.12g}") for value in (axis.width_s * 1e12, axis.start_s * 1e9))
+        return cls(bins=axis.bins, bin_width_ps=width, start_ns=start, origin=axis.origin)
+
     def axis(self) -> TimeAxis:
         """The time axis in seconds."""
         return TimeAxis(self.bins, self.bin_width_ps * 1e-12, self.start_ns * 1e-9, self.origin)
@@ -60,7 +66,7 @@ def _named_device(value: Any, info: ValidationInfo) -> Any:
     """The device of a name, of a file's path, or of plain values."""
     if isinstance(value, str):
         return read_device(value, DeviceConfig, folder_of(info))
-    return device_of(value, "device", DeviceConfig, folder_of(info)) if isinstance(value, dict) else value
+    return from_plain(DeviceConfig, value, "device", folder_of(info)) if isinstance(value, dict) else value
 
 
 NamedDevice = Annotated[DeviceConfig, BeforeValidator(_named_device, json_schema_input_type=str | DeviceConfig)]
@@ -136,25 +142,15 @@ class CaptureConfig(Settings):
                     "device file with another one"
                 )
             object.__setattr__(self, name, value)
-        for name in ("laser_position_m", "laser_offset_m"):
-            if getattr(self, name) is not None:
-                raise ValueError(
-                    f"{name} beside device {self.device.name!r}: the device's light.baseline_mm says where its laser "
-                    "is; leave the key out, or move both by sensor_position_m or sensor_offset_m"
-                )
 
     def _check(self) -> None:
         self._fill_from_device()
         view, is_confocal, is_flood = self.field_of_view, self.pairing == "confocal", self.illumination == "flood"
-        if is_confocal and view.rows * view.columns != 1:
+        grid = [name for name in view.changed() if name in ("rows", "columns", "center_m")]
+        if is_confocal and grid:
             raise ValueError(
-                f"field_of_view: {view.rows} × {view.columns} pixels with pairing 'confocal', which has one pixel "
-                "a laser point; leave rows and columns out or set pairing: exhaustive"
-            )
-        if is_confocal and view.center_m is not None:
-            raise ValueError(
-                f"field_of_view.center_m = {list(view.center_m)}: with pairing 'confocal' the pixels lie around the "
-                "laser points; set scan.center_m instead, or pairing: exhaustive"
+                f"field_of_view.{grid[0]} with pairing 'confocal', which has one pixel around each laser point: "
+                "leave it out, or set pairing: exhaustive"
             )
         if is_flood and is_confocal:
             raise ValueError(
@@ -175,16 +171,9 @@ class CaptureConfig(Settings):
                     f"scan.{name} = {points} with illumination 'flood' and field_of_view.{name} = {pixels}: some "
                     f"pixels would get more points of the flood than others; take a multiple of {pixels}"
                 )
-        for device in ("laser", "sensor"):
-            place, offset = getattr(self, f"{device}_position_m"), getattr(self, f"{device}_offset_m")
-            if place is not None and offset is not None:
-                raise ValueError(
-                    f"{device}_position_m = {list(place)} and {device}_offset_m = {list(offset)}: only one of both "
-                    "can hold; leave one out"
-                )
-        for name in ("sensor_position_m", "sensor_offset_m") if self.at_objects is not None else ():
-            if getattr(self, name) is not None:
-                raise ValueError(f"{name} with at_objects: both say where the device stands; leave one out")
+        self._only_one_of("laser_position_m", "laser_offset_m")
+        self._only_one_of("sensor_position_m", "sensor_offset_m", "at_objects")
+        self._only_one_of("at_objects", "sensor_offset_m")
 
 
 def _of_device(device: DeviceConfig) -> dict[str, Any]:
@@ -200,4 +189,7 @@ def _of_device(device: DeviceConfig) -> dict[str, Any]:
         "field_of_view": FieldOfView(rows=rows, columns=columns, aperture_radius_mm=zones.aperture_radius_mm),
         "time": TimeConfig(bins=axis.bins, bin_width_ps=axis.width_s * 1e12, start_ns=axis.start_s * 1e9,
                            origin="source"),
+        # Both move with the sensor's keys: the device's light.baseline_mm says where its laser is.
+        "laser_position_m": None,
+        "laser_offset_m": None,
     }  # fmt: skip

@@ -10,10 +10,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import pydantic
 from pydantic import Field, field_validator
 
-from datagen.config.base import Settings, raise_input_error
+from datagen.config.base import Settings, from_plain
 from datagen.config.capture import CaptureConfig, TimeConfig
 from datagen.config.detector import DetectorConfig
 from datagen.config.distributions import support
@@ -165,15 +164,7 @@ def config_from_mapping(
 ) -> DatasetConfig:  # fmt: skip
     """The configuration that plain values describe. `base_directory` is the folder in which relative mesh paths
     start; `look_for_files` : refuse mesh files that are not there."""
-    try:
-        # JSON mode: strict about types, yet a list may stand for a tuple.
-        text = json.dumps(values)
-        context = {"base_directory": str(base_directory), "look_for_files": look_for_files}
-        return DatasetConfig.model_validate_json(text, context=context)
-    except pydantic.ValidationError as error:
-        raise_input_error(source, error, DatasetConfig)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{source}: holds a value that is no text, number, list or mapping ({error})") from None
+    return from_plain(DatasetConfig, values, source, base_directory, look_for_files=look_for_files)
 
 
 def json_schema() -> dict[str, Any]:

@@ -130,14 +130,11 @@ class DetectorConfig(Settings):
     """Allow approximations where the exact sampler or mean cannot be had."""
 
     def _check(self) -> None:
-        if self.exposure_for is not None and self.changed("cycles"):
-            raise ValueError("cycles and exposure_for are both given, and each sets the exposure; leave one out")
+        self._only_one_of("exposure_for", "cycles")
         if self.found_for is not None and (self.exposure_for is not None or "cycles" not in self.model_fields_set):
             raise ValueError("found_for: tells for what given cycles were found; to have them found set exposure_for")
-        if self.pulse is not None and self.changed("pulse_fwhm_ps"):
-            raise ValueError("pulse and pulse_fwhm_ps are both given, and each is the laser's pulse; leave one out")
-        if self.tdc_edges_ps is not None and (drawn := self.changed("tdc_dnl", "tdc_period_bins")):
-            raise ValueError(f"{drawn[0]} and tdc_edges_ps are both given, and each sets the bins; leave one out")
+        self._only_one_of("pulse", "pulse_fwhm_ps")
+        self._only_one_of("tdc_edges_ps", "tdc_dnl", "tdc_period_bins")
 
     def of_device(self, device: DeviceConfig) -> DetectorConfig:
         """These settings, with the device's numbers for all that is not given.
@@ -145,27 +142,23 @@ class DetectorConfig(Settings):
         Raises `ValueError` for `detector_class`, and another number of `bins_merged`.
         """
         given = {name: getattr(self, name) for name in self.model_fields_set}
-        if self.detector_class is not None:
-            raise ValueError(
-                f"detector.detector_class = {self.detector_class!r} beside capture.device: the detector is "
-                f"{device.name}'s; leave it out, and set single numbers"
-            )
-        if given.get("bins_merged", device.time.steps) != device.time.steps:
-            raise ValueError(
-                f"detector.bins_merged = {self.bins_merged} beside capture.device: follows from {device.name}'s "
-                "time.steps; leave it out"
-            )
+        for name, value in (("detector_class", None), ("bins_merged", device.time.steps)):
+            if given.get(name, value) != value:
+                raise ValueError(
+                    f"detector.{name} = {given[name]!r} beside capture.device: follows from the device "
+                    f"{device.name!r}; leave it out"
+                )
         counting, pulse = device.counting, device.pulse
         own: dict[str, Any] = {
             name: getattr(counting, name) for name in type(counting).model_fields if name in type(self).model_fields
         }
         own["cycles"] = float(counting.cycles)
         own["bins_merged"] = device.time.steps
-        if counting.gate_ns == "histogram":
-            axis = device.axis
-            own["gate"] = GateConfig(start_ns=axis.start_s * 1e9, width_ns=(axis.stop_s - axis.start_s) * 1e9)
-        elif counting.gate_ns is not None:
-            own["gate"] = GateConfig(start_ns=counting.gate_ns[0], width_ns=counting.gate_ns[1])
+        gate, axis = counting.gate_ns, device.axis
+        if gate == "histogram":
+            gate = axis.start_s * 1e9, (axis.stop_s - axis.start_s) * 1e9
+        if gate is not None:
+            own["gate"] = GateConfig(start_ns=gate[0], width_ns=gate[1])
         if device.zones.dark_count_factors:
             own["dark_count_factors"] = device.zones.dark_count_factors
         if counting.crosstalk_probability > 0:

@@ -7,15 +7,14 @@ device has its source in `sources`; a source that begins with `estimate` is one,
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import Annotated, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
-from datagen.config.base import Settings, folder_of, near_hint, raise_input_error
+from datagen.config.base import Settings, folder_of, from_plain, near_hint
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records import Pairing, TimeAxis
@@ -192,7 +191,7 @@ class DeviceConfig(Settings):
     """Its name in the catalogue."""
     description: str
     """What it is, in a sentence."""
-    wavelength_nm: Annotated[float, Field(gt=0)]
+    wavelength_nm: Positive
     """Wavelength of the laser."""
     zones: Zones
     light: Light
@@ -250,16 +249,7 @@ def read_device(name: str | Path, model: type[AnyDevice], folder: Path | None = 
     elif folder is not None:
         path = folder / path
     values = read_yaml(path, f"name a device file, or one of {', '.join(device_names())}")
-    return device_of(values, str(path), model, path.parent)
-
-
-def device_of(values: dict[str, Any], source: str, model: type[AnyDevice], folder: Path) -> AnyDevice:
-    """The device of plain values. folder : where a file `zones.map` lies. Raises `InputError` that begins with
-    `source`."""
-    try:
-        return model.model_validate_json(json.dumps(values), context={"base_directory": str(folder)})
-    except ValidationError as error:
-        raise_input_error(source, error, model)
+    return from_plain(model, values, str(path), path.parent)
 
 
 def _read_map(path: Path, zones: int) -> tuple[list[float], Floats]:

@@ -146,28 +146,23 @@ def support(distribution: Distribution) -> tuple[float, float]:
     return distribution._support()
 
 
-def within(low: float = -np.inf, high: float = np.inf, *, open_low: bool = False) -> AfterValidator:
+def within(low: float, high: float = np.inf, *, open_low: bool = False) -> AfterValidator:
     """A pydantic validator: all values that can be drawn lie in low … high (low itself excluded if `open_low`)."""
+
+    bounds = [f"{'>' if open_low else '≥'} {low:g}", *([f"≤ {high:g}"] if high < np.inf else [])]
 
     def check(value: Distribution) -> Distribution:
         smallest, largest = support(value)
         if smallest < low or largest > high or (open_low and smallest <= low):
             drawn = f"{smallest:g}" if smallest == largest else f"{smallest:g} … {largest:g}"
-            raise ValueError(f"{drawn} given; {_allowed(low, high, open_low)}")
+            raise ValueError(f"{drawn} given; must be {' and '.join(bounds)}")
         return value
 
     return AfterValidator(check)
 
 
-def _allowed(low: float, high: float, open_low: bool) -> str:
-    at_least = f"{'>' if open_low else '≥'} {low:g}"
-    if high == np.inf:
-        return f"must be {at_least}"
-    return f"must be ≤ {high:g}" if low == -np.inf else f"must be {at_least} and ≤ {high:g}"
-
-
 NotNegative = Annotated[Distribution, within(0)]
-Length = Annotated[Distribution, within(0, open_low=True)]
+Length = Annotated[Distribution, within(0, 1e5, open_low=True)]
 """A distribution of positive lengths, metres."""
 Fraction = Annotated[Distribution, within(0, 1)]
 """A distribution of values in 0 … 1, such as an albedo."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import numpy as np
 from pydantic import AfterValidator, Field
 
 from datagen.config.base import Settings
-from datagen.config.distributions import Distribution, largest_count, support, within
+from datagen.config.distributions import Distribution, largest_count, within
 from datagen.config.scene_contents import Box, Content, Mesh, MeshFolder, Pillar
 from datagen.config.scene_layouts import AnyLayout, GivenScenes, ImportedCaptures, LCorridor
 from datagen.config.scene_materials import Materials
@@ -41,24 +40,6 @@ class SceneConfig(Settings):
     objects of a drawn room anew; the room itself (dimensions, number of objects, their classes, sizes and materials)
     is only drawn again when an eighth of the tries have failed with it, the next after half of that, and so on."""
 
-    def _check(self) -> None:
-        """Refuse what no draw can meet: an object whose smallest size exceeds the largest room."""
-        room, height = self.layout.largest_hidden_m(), support(self.layout.height_m)[1]
-        for i, item in enumerate(self.contents):
-            footprint = item.smallest_footprint_m()
-            if footprint is not None and not _fits(footprint, room, self.clearance_m):
-                a, b = footprint
-                keys = " or ".join(f"contents[{i}].{k}" for k in item.plan_sizes())
-                raise ValueError(
-                    f"contents[{i}] ({item.part_name}): its footprint is at least {a:g} × {b:g} m and the hidden "
-                    f"part at most {room[0]:g} × {room[1]:g} m; lower {keys} or enlarge the room (layout)"
-                )
-            if item.smallest_height_m() > height:
-                raise ValueError(
-                    f"contents[{i}].height_m ≥ {item.smallest_height_m():g}: no room is higher than {height:g} m; "
-                    "lower it or raise layout.height_m"
-                )
-
     @property
     def asks_for_evidence(self) -> bool:
         """Whether a scene is accepted only if its light has enough evidence of an object (`evidence_at_least`)."""
@@ -89,10 +70,3 @@ class SceneConfig(Settings):
                         f"({error.strerror or error}); the file must stay where the configuration says"
                     ) from None
         return digests
-
-
-def _fits(sides: tuple[float, float], room: tuple[float, float], clearance_m: float) -> bool:
-    """False if a rectangle cannot lie in another one at any rotation (a necessary condition for fitting)."""
-    gap = 2 * clearance_m
-    short, long = sorted(room)
-    return sides[0] + gap <= short and sides[1] + gap <= float(np.hypot(short, long))

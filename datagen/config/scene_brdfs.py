@@ -13,11 +13,6 @@ from datagen.config.distributions import Distribution, Fraction, draw, within
 from datagen.records import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
 from scene_library.materials import MATERIALS
 
-Exponent = Annotated[Distribution, within(0, 10_000)]
-Roughness = Annotated[Distribution, within(0.1, 1)]
-SlopeAngle = Annotated[Distribution, within(0, 90)]
-LobeAngle = Annotated[Distribution, within(0.0573, 45)]
-
 
 class _Brdf(Settings):
     """A kind of material, its parameters named as those of its record, angles in degrees."""
@@ -65,7 +60,7 @@ class PhongBrdf(_Brdf):
 
     record = Phong
     kind: Literal["phong"] = "phong"
-    exponent: Exponent = 20.0
+    exponent: Annotated[Distribution, within(0, 10_000)] = 20.0
     """Narrowness of the lobe; 0 is Lambertian."""
     specular: Fraction = 1.0
     """Share of the albedo in the lobe, the rest is diffuse."""
@@ -76,7 +71,7 @@ class OrenNayarBrdf(_Brdf):
 
     record = OrenNayar
     kind: Literal["oren_nayar"] = "oren_nayar"
-    sigma_deg: SlopeAngle = 20.0
+    sigma_deg: Annotated[Distribution, within(0, 90)] = 20.0
     """Standard deviation of the facets' slope angle; 0 is Lambertian."""
 
 
@@ -85,7 +80,7 @@ class GGXBrdf(_Brdf):
 
     record = GGX
     kind: Literal["ggx"] = "ggx"
-    roughness: Roughness = 0.3
+    roughness: Annotated[Distribution, within(0.1, 1)] = 0.3
     """0.1 (glossy) to 1 (matt)."""
     f0: Fraction = 1.0
     """Fresnel reflectance at normal incidence."""
@@ -96,7 +91,7 @@ class RetroreflectorBrdf(_Brdf):
 
     record = Retroreflector
     kind: Literal["retroreflector"] = "retroreflector"
-    half_width_deg: LobeAngle = 0.5
+    half_width_deg: Annotated[Distribution, within(0.0573, 45)] = 0.5
     """Angle from the direction of the light at which the lobe has fallen to half."""
     retro: Fraction = 1.0
     """Share of the albedo in the lobe, the rest is diffuse."""

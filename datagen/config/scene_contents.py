@@ -9,14 +9,12 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
-from datagen.config.base import folder_of, near_hint
-from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, support, within
+from datagen.config.base import check_known, folder_of
+from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, within
 from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
-Angle = Annotated[Distribution, within(-360, 360)]
-ANY_ANGLE = Uniform(uniform=(0.0, 360.0))
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
 RESERVED_NAMES = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """Names of the room's own parts."""
@@ -60,7 +58,7 @@ class Item(SurfaceMaterial):
     offset_m: Annotated[Distribution, within(-1000, 1000)] | None = None
     """Distance of the centre to the right of the middle of the relay wall's visible part, for somebody who faces the
     wall, in place of `across`."""
-    rotation_deg: Angle = ANY_ANGLE
+    rotation_deg: Annotated[Distribution, within(-360, 360)] = Uniform(uniform=(0.0, 360.0))
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
@@ -73,9 +71,8 @@ class Item(SurfaceMaterial):
         super()._check()
         if self.name in RESERVED_NAMES:
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
-        for share, metres in (("along", "distance_m"), ("across", "offset_m")):
-            if getattr(self, metres) is not None and self.changed(share):
-                raise ValueError(f"{share} and {metres}: both say where the object stands; leave one of them out")
+        self._only_one_of("along", "distance_m")
+        self._only_one_of("across", "offset_m")
 
     @property
     def part_name(self) -> str:
@@ -86,27 +83,6 @@ class Item(SurfaceMaterial):
     def class_names(self) -> tuple[str, ...]:
         """The classes of object that can be drawn."""
         return (self.part_name,)
-
-    def smallest_footprint_m(self) -> tuple[float, float] | None:
-        """Short and long side of the smallest footprint, metres, or None where that depends on the object drawn."""
-        if "width_m" not in self.sizes:
-            return None
-        width = self._smallest("width_m", 0.0)
-        short, long = sorted((width, self._smallest("depth_m", width)))
-        return short, long
-
-    def smallest_height_m(self) -> float:
-        """Smallest height that can be drawn, metres; 0 where that depends on the object drawn."""
-        return self._smallest("height_m", 0.0)
-
-    def _smallest(self, size: str, otherwise: float) -> float:
-        declared = getattr(self, size, None)
-        return otherwise if declared is None else support(declared)[0]
-
-    def plan_sizes(self) -> list[str]:
-        """Names of the keys that decide how much floor the object takes."""
-        given = [name for name in self.sizes if getattr(self, name) is not None]
-        return [name for name in given if name != "height_m"] or given
 
 
 class Standing(Item):
@@ -143,9 +119,7 @@ class Box(Standing):
 
 def _known_classes(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
-        if name not in CLASSES and name not in GROUPS:
-            hint = near_hint(name, [*GROUPS, *CLASSES])
-            raise ValueError(f"{name!r} is no class of the library; {hint}Groups: {', '.join(GROUPS)}")
+        check_known(name, CLASSES, "a class of the library", GROUPS)
     return names
 
 
@@ -259,8 +233,7 @@ class MeshFolder(MeshItem):
                 f"path = {self.path!r}: holds no mesh files ({self.place}); {' '.join(SUFFIXES)} are read"
             )
         for name in self.classes or ():
-            if name not in classes:
-                raise ValueError(f"classes: {name!r} is no sub-folder with meshes; there are {', '.join(classes)}")
+            check_known(name, classes, f"a sub-folder of {self.path!r} with meshes")
 
     @property
     def class_names(self) -> tuple[str, ...]:

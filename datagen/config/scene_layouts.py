@@ -10,12 +10,9 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from datagen.config.base import Settings
-from datagen.config.distributions import Distribution, Fraction, Length, Uniform, support, within
+from datagen.config.distributions import Distribution, Fraction, Length, Uniform, within
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_relay import RelayWall
-
-Limit = tuple[str, str, str]
-"""(smaller, larger, reason): the first dimension must be below the second."""
 
 
 class Layout(Settings):
@@ -51,31 +48,6 @@ class Layout(Settings):
         """Name of the floor plan in `scene_library.layouts.PLANS`."""
         return str(getattr(self, "kind", ""))
 
-    limits: ClassVar[tuple[Limit, ...]] = ()
-    hidden_m: ClassVar[tuple[str, tuple[str, ...]]]
-    """The dimension that limits the hidden part along x, and the dimensions whose largest limits it along y."""
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        """Largest extents of the hidden part along x and y, metres."""
-        along, across = self.hidden_m
-        return self._largest(along), max(self._largest(name) for name in across)
-
-    def _largest(self, name: str) -> float:
-        return support(getattr(self, name))[1]
-
-    def _limits(self) -> tuple[Limit, ...]:
-        return self.limits
-
-    def _check(self) -> None:
-        """Refuse when not even the smallest value of one dimension is below the largest of the other."""
-        ceiling = ("device_height_m", "height_m", "the device stands above it")
-        for small, large, reason in (ceiling, *self._limits()):
-            least, most = support(getattr(self, small))[0], self._largest(large)
-            if least >= most:
-                raise ValueError(
-                    f"{small} ≥ {least:g} with {large} ≤ {most:g}: {reason}; lower the first or raise {large}"
-                )
-
 
 class Closed(Layout):
     """Layouts with walls all around."""
@@ -103,8 +75,6 @@ class StraightCorridor(Corridor):
     partition_reach: Annotated[Distribution, within(0.05, 0.95)] = Uniform(uniform=(0.4, 0.55))
     """Share of the corridor's width that the partition covers."""
     partition_thickness_m: Length = Uniform(uniform=(0.05, 0.2))
-    hidden_m = ("partition_distance_m", ("corridor_width_m",))
-    limits = (("partition_distance_m", "relay_distance_m", "the partition is behind the device"),)
 
 
 class LCorridor(Corridor):
@@ -115,8 +85,6 @@ class LCorridor(Corridor):
     """From the relay wall back to the inner corner."""
     room_width_m: Length = Uniform(uniform=(3.0, 5.0))
     """From the corridor to the far wall of the room."""
-    hidden_m = ("room_length_m", ("room_width_m",))
-    limits = (("room_length_m", "relay_distance_m", "the inner corner lies behind the device"),)
 
 
 class TCorridor(Corridor):
@@ -129,8 +97,6 @@ class TCorridor(Corridor):
     """Length of the arm on the side of `turn`."""
     right_arm_m: Length = Uniform(uniform=(3.0, 5.0))
     """Length of the other arm."""
-    hidden_m = ("arm_width_m", ("left_arm_m", "right_arm_m"))
-    limits = (("arm_width_m", "relay_distance_m", "the corners lie behind the device"),)
 
 
 class ZCorridor(Corridor):
@@ -142,11 +108,6 @@ class ZCorridor(Corridor):
     middle_length_m: Length = Uniform(uniform=(4.0, 6.0))
     last_width_m: Length = Uniform(uniform=(1.4, 2.2))
     last_length_m: Length = Uniform(uniform=(1.0, 4.0))
-    hidden_m = ("middle_width_m", ("middle_length_m",))
-    limits = (
-        ("middle_width_m", "relay_distance_m", "the inner corner lies behind the device"),
-        ("last_width_m", "middle_length_m", "the last leg has no room to leave"),
-    )
 
 
 class CorridorRoom(Corridor):
@@ -158,11 +119,6 @@ class CorridorRoom(Corridor):
     room_width_m: Length = Uniform(uniform=(5.0, 8.0))
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the corridor enters: 0 puts all of the room on the side of `turn`, 1 on the other."""
-    hidden_m = ("room_length_m", ("room_width_m",))
-    limits = (
-        ("room_length_m", "relay_distance_m", "the room's corners lie behind the device"),
-        ("corridor_width_m", "room_width_m", "the room is narrower than the corridor"),
-    )
 
 
 class DoorwayRoom(Closed):
@@ -180,14 +136,6 @@ class DoorwayRoom(Closed):
     room_width_m: Length = Uniform(uniform=(4.0, 7.0))
     opening_offset: Fraction = Uniform(uniform=(0.2, 0.8))
     """Where the doorway is: 0 puts all of the room on the side of `turn`, 1 on the other."""
-    hidden_m = ("room_length_m", ("room_width_m",))
-    limits = (
-        ("room_length_m", "relay_distance_m", "the doorway lies behind the device"),
-        ("door_width_m", "room_width_m", "the doorway is wider than the room"),
-        ("door_width_m", "hall_width_m", "the doorway is wider than the hall"),
-        ("door_height_m", "height_m", "the doorway is higher than the room"),
-        ("device_height_m", "door_height_m", "the device looks at the lintel"),
-    )
 
 
 NEAR_THE_WALL = Uniform(uniform=(0.3, 0.5))
@@ -222,26 +170,14 @@ class IsolatedWall(Layout):
     """How far to the side of the wall's nearer end the device stands; in_front alone."""
     space_depth_m: Length = Uniform(uniform=(1.8, 2.4))
     """From the relay wall to the far side of the box that holds the objects; in_front alone."""
-    hidden_m = ("screen_to_wall_m", ("space_width_m",))
-    limits = (("screen_to_wall_m", "relay_distance_m", "the screen ends behind the device"),)
-    limits_in_front: ClassVar[tuple[Limit, ...]] = (
-        (
-            "relay_distance_m",
-            "space_depth_m",
-            "with place = 'in_front' objects stand farther from the wall than the device",
-        ),
-    )
 
     def _check(self) -> None:
-        for name in self.changed(*self._keys_of_the_other):
-            raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
+        for name in self.changed():
+            if name in self._keys_of_the_other:
+                raise ValueError(f"{name} with place = {self.place!r}: has no meaning there; leave it out")
         if self.place == "in_front" and "relay_distance_m" not in self.model_fields_set:
             # A default that follows from another key. The frozen model may still change, since nobody has it yet.
             object.__setattr__(self, "relay_distance_m", NEAR_THE_WALL)
-        super()._check()
-
-    def _limits(self) -> tuple[Limit, ...]:
-        return self.limits if self.place == "beside" else self.limits_in_front
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:
@@ -256,13 +192,6 @@ class IsolatedWall(Layout):
         """As for every layout, those of its place."""
         return {name: value for name, value in super().dimensions().items() if name not in self._keys_of_the_other}
 
-    def largest_hidden_m(self) -> tuple[float, float]:
-        """As for every layout; beside, the wall may reach further across than the space beside the screen."""
-        if self.place == "in_front":
-            return self._largest("space_depth_m"), self._largest("wall_width_m")
-        along, across = super().largest_hidden_m()
-        return along, across + self._largest("wall_width_m")
-
 
 class NoLayout(Layout):
     """Layouts of datasets whose rooms cannot be drawn. What makes such a dataset writes them; no user gives them."""
@@ -270,10 +199,6 @@ class NoLayout(Layout):
     is_offered = False
     why: ClassVar[str]
     """Why there is no room to draw, as a whole clause."""
-
-    def largest_hidden_m(self) -> tuple[float, float]:
-        """Unknown, so any object fits."""
-        return float("inf"), float("inf")
 
 
 class GivenScenes(NoLayout):

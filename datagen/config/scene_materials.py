@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator
 
-from datagen.config.base import Settings, near_hint
+from datagen.config.base import Settings, check_known
 from datagen.config.distributions import Fraction, Uniform, draw
 from datagen.config.scene_brdfs import BrdfSettings, CatalogueBrdf, LambertianBrdf
 from datagen.records import Material
@@ -16,9 +16,7 @@ from scene_library.materials import MATERIALS
 
 def _known_materials(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
-        if name not in MATERIALS:
-            hint = near_hint(name, MATERIALS, 0.4)
-            raise ValueError(f"{name!r} is no material of the catalogue; {hint}There are {', '.join(MATERIALS)}")
+        check_known(name, MATERIALS, "a material of the catalogue")
     return names
 
 
@@ -30,16 +28,13 @@ class SurfaceMaterial(Settings):
     material: Annotated[tuple[str, ...], AfterValidator(_known_materials)] = ()
     """Materials of the catalogue to draw from, instead of `albedo`: the reflectance is taken at
     `scene.wavelength_nm`, with a random tint inside the material's spread."""
-
     brdf: BrdfSettings = LambertianBrdf()
     """How the surface scatters; `kind: catalogue` takes the lobe that the catalogue gives for `material`."""
 
     def _check(self) -> None:
         if isinstance(self.brdf, CatalogueBrdf) and not self.material:
             raise ValueError("brdf: kind 'catalogue' takes the lobe of a catalogue material; name one under material")
-        # A dumped configuration holds the default albedo beside the material, so only another one is a contradiction.
-        if self.material and self.albedo != type(self).model_fields["albedo"].default:
-            raise ValueError("albedo and material are both given; leave one of them out")
+        self._only_one_of("albedo", "material")
 
     def draw_material(self, wavelength_nm: float, rng: np.random.Generator) -> tuple[Material, str | None]:
         """A drawn material, and its name in the catalogue; None for an albedo given by number."""

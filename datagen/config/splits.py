@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from datagen.config.base import Settings, near_hint
+from datagen.config.base import Settings, check_known
 from datagen.config.scene_contents import Name
 from datagen.errors import InputError
 
@@ -87,8 +87,4 @@ class SplitsConfig(Settings):
         """Raise `ValueError` for a class that no object can have."""
         for rule in self.held_out:
             for name in rule.classes:
-                if name not in known:
-                    raise ValueError(
-                        f"splits.held_out {rule.name}: no object of scene.contents has the class {name!r}; "
-                        f"{near_hint(name, known)}There are {', '.join(known)}"
-                    )
+                check_known(name, known, f"a class of scene.contents (splits.held_out {rule.name})")

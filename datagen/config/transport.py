@@ -9,7 +9,7 @@ from pydantic import Field
 from datagen.config.base import Settings
 from datagen.errors import InputError
 from datagen.records import Accuracy
-from datagen.records.accuracy import GONE, LIMITS, MAX_BOUNCES, TARGETS, both_given
+from datagen.records.accuracy import GONE, LIMITS, MAX_BOUNCES, TARGETS
 
 
 def _within(name: str) -> Any:
@@ -41,7 +41,7 @@ class TransportConfig(Settings):
         return Accuracy(**{name: getattr(self, name) for name in type(self).model_fields})
 
     def _check(self) -> None:
-        if self.target is not None and self.samples is not None:
-            raise InputError(both_given("", self.target, self.samples))
-        if self.part_target is not None and self.samples is not None:
-            raise InputError(f"part_target = {self.part_target}: needs a target; set target, not samples")
+        try:
+            self.accuracy()
+        except InputError as error:
+            raise ValueError(str(error).replace("Accuracy.", "")) from None

@@ -9,8 +9,8 @@ from datagen.errors import CheckError, InputError
 from datagen.formats.glb import write_stored_glb
 from datagen.formats.hub import write_hub
 from datagen.formats.matlab import write_mat
-from datagen.formats.measurement import QUANTITIES
 from datagen.formats.plain import write_h5, write_npz
+from datagen.formats.recording import QUANTITIES
 from datagen.formats.tal import write_tal
 from datagen.records.checks import numbers_of
 from datagen.store.files import PARTIAL

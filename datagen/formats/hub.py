@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.formats.measurement import lattice, measurement
+from datagen.formats.recording import lattice, recording_of
 from datagen.records.arrays import Floats
 from datagen.store.card import CARD
 from datagen.store.files import write_if_changed
@@ -141,7 +141,7 @@ def _pictures(scene: SceneContent) -> dict[str, bytes]:
 def _thumbnail(scene: SceneContent) -> Floats:
     """(row, column) image of the measurement of a scene."""
     try:
-        m = measurement(scene)
+        m = recording_of(scene).on_wall()
     except InputError:
         # A flood and an unknown wall have no points to draw at.
         name = next((name for name in ("histogram", "transient") if name in scene.arrays), None)

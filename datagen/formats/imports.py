@@ -28,7 +28,7 @@ from datagen.formats.frames import (
 from datagen.formats.matlab import read_mat
 from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.formats.tal import read_tal
-from datagen.records import Sample, Scalar
+from datagen.records import Sample, Scalar, TimeAxis
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of
 
@@ -160,13 +160,13 @@ class _Summary:
     file: ImportedFile
     shape: tuple[int, ...]
     paired: bool
-    time: TimeConfig
+    time: TimeAxis
     whole: bool
     most: float
 
     def __str__(self) -> str:
         time, pairing = self.time, "confocal" if self.paired else "exhaustive"
-        return f"{self.shape} {pairing}, {time.bin_width_ps:g} ps from {time.start_ns:g} ns ({time.origin})"
+        return f"{self.shape} {pairing}, {time.width_s * 1e12:g} ps from {time.start_s * 1e9:g} ns ({time.origin})"
 
 
 def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -235,8 +235,12 @@ def _format_of(path: Path) -> str:
 
 
 def _recording(path: Path, format: str, options: ImportOptions, delays: Path | None) -> Recording:
+    """The recording in one file, with the first bins only if the options say so."""
     recording = read_tal(path, options) if format == "tal" else read_mat(path, options, delays)
-    return recording.first_bins(options.bins)
+    bins = recording.time.bins if options.bins is None else options.bins
+    if bins > recording.time.bins:
+        raise InputError(f"{path}: has {recording.time.bins} bins, --bins {bins} asks for more")
+    return replace(recording, values=recording.values[..., :bins], time=replace(recording.time, bins=bins))
 
 
 def _config(
@@ -247,7 +251,7 @@ def _config(
     for other in given:
         if (other.shape, other.paired, other.time) != (first.shape, first.paired, first.time):
             shorter = min(other.time.bins, first.time.bins)
-            times = {capture.time.model_copy(update={"bins": shorter}) for capture in (first, other)}
+            times = {replace(capture.time, bins=shorter) for capture in (first, other)}
             only_bins = (other.shape[:2], other.paired, len(times)) == (first.shape[:2], first.paired, 1)
             remedy = f"take --bins {shorter} of all" if only_bins else "import them into several"
             raise InputError(
@@ -260,7 +264,7 @@ def _config(
         "pairing": "confocal" if first.paired else "exhaustive",
         "scan": {"kind": "imported", "count": lasers},
         "field_of_view": view,
-        "time": first.time.model_dump(mode="json"),
+        "time": TimeConfig.of(first.time).model_dump(mode="json"),
     }
     return imported_config(
         [one.file for one in given], capture, _stored(given, field), settings, named, options=options,

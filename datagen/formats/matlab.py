@@ -18,17 +18,27 @@ Octave and `scipy.io.loadmat` read; it holds at most 2 GiB in one variable. Vers
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.formats.containers import FACING, Content, matlab_content
-from datagen.formats.measurement import Measurement, lattice, measurement
-from datagen.formats.recording import SAME, UNKNOWN, Recording, refuse_options, time_bins
+from datagen.formats.recording import (
+    SAME,
+    UNKNOWN,
+    Recording,
+    WallFrame,
+    lattice,
+    recording_of,
+    refuse_options,
+    time_bins,
+)
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
@@ -41,10 +51,10 @@ _AXES = {"meas": "yxt", "rect_data": "xyt"}
 
 
 def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
-    """Write one scene. Raises `InputError` as `measurement` does, and if the scan is too large for the format."""
+    """Write one scene. Raises `InputError` as `recording_of` does, and if the scan is too large for the format."""
     from scipy.io import savemat
 
-    m = measurement(scene, quantity).from_time_zero()
+    m = recording_of(scene, quantity).on_wall().from_time_zero()
     place = lattice(m.seen_points) if m.paired and _is_on_flat_wall(m) else None
     variables = _variables_of_pairs(m) if place is None or min(place.shape) < 2 else _variables_of_grid(m, place)
     for name, value in variables.items():
@@ -56,13 +66,13 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
     savemat(path, variables | {"bin_resolution": m.time.width_s, "scene": scene.index}, do_compression=True)
 
 
-def _is_on_flat_wall(m: Measurement) -> bool:
+def _is_on_flat_wall(m: Recording) -> bool:
     """Whether pixels look at their laser points, and no way from them differs from that of a flat wall by a bin."""
     half_a_bin_m = path_from_time(m.time.width_s) / 2
     return np.array_equal(m.seen_points, m.laser_points) and bool(np.abs(m.seen_points[:, 2]).max() <= half_a_bin_m)
 
 
-def _variables_of_grid(m: Measurement, place: Ints) -> dict[str, NDArray[Any]]:
+def _variables_of_grid(m: Recording, place: Ints) -> dict[str, NDArray[Any]]:
     """Variables of a confocal grid; `place` is its `lattice`."""
     # Columns × rows with y ascending → rows from the top × columns.
     order = place.T[::-1]
@@ -83,7 +93,7 @@ def _stated(name: str, normals: Floats) -> dict[str, Floats]:
     return {name: normals} if np.isfinite(normals).all() else {}
 
 
-def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
+def _legs_s(m: Recording, lit: Floats, seen: Floats) -> Floats:
     """(N,) seconds from the laser to its point and from the seen point to the sensor; 0 for times from the wall."""
     if m.time.origin == "wall":
         return np.zeros(len(lit))
@@ -91,7 +101,7 @@ def _legs_s(m: Measurement, lit: Floats, seen: Floats) -> Floats:
     return np.asarray(time_from_path(ways))
 
 
-def _variables_of_pairs(m: Measurement) -> dict[str, NDArray[Any]]:
+def _variables_of_pairs(m: Recording) -> dict[str, NDArray[Any]]:
     """Variables of a list of pairs, with all times shifted to count from the wall."""
     lasers, pixels, bins = m.values.shape
     lit, lit_normals = (of if m.paired else np.repeat(of, pixels, axis=0) for of in (m.laser_points, m.laser_normals))
@@ -139,24 +149,25 @@ def _read_grid(content: Content, name: str, options: ImportOptions, delays: Path
     time = time_bins(
         path, values.shape[-1], _bin_width_s(content), options, start_s=0.0, origin="wall", named="bin_resolution"
     )
-    shifts = _read_shifts(content, name, values.shape[:2], time.bin_width_ps, options, delays)
+    shifts = _read_shifts(content, name, values.shape[:2], TimeConfig.of(time).bin_width_ps, options, delays)
     if shifts.any():
         kept = values.shape[-1] - int(shifts.max())
         if kept < 1:
             raise InputError(
-                f"{path}: tofgrid: {int(shifts.max())} bins of {time.bin_width_ps:g} ps to the wall and back, and "
+                f"{path}: tofgrid: {int(shifts.max())} bins of {time.width_s * 1e12:g} ps to the wall and back, and "
                 f"{values.shape[-1]} bins in all; are they ps, and is --bin right?"
             )
         values = _shifted(values, shifts, kept)
-        time = time.model_copy(update={"bins": kept})
+        time = replace(time, bins=kept)
     values = values if at[0] < at[1] else values.swapaxes(0, 1)
     rows, columns, bins = values.shape
     points = _read_points(content, name, rows, columns, options).reshape(-1, 3)
     # Without points of its own a grid fills a flat wall in the plane of x and y.
     flat = "grid_points" not in content.arrays
     normals = np.tile(FACING, (len(points), 1)) if flat else content.normals("grid_normals", points)
+    frame = WallFrame.facing(points, normals)
     return Recording(
-        path, values.reshape(-1, 1, bins), True, points, normals, points, normals, time, UNKNOWN, UNKNOWN
+        values.reshape(-1, 1, bins), True, points, normals, points, normals, time, UNKNOWN, UNKNOWN, frame
     )  # fmt: skip
 
 
@@ -259,7 +270,8 @@ def _read_pairs(content: Content, options: ImportOptions) -> Recording:
     else:
         values = rows[:, None]
     paired = lasers * pixels != len(rows)
-    return Recording(content.path, values, paired, lit, lit_normals, seen, seen_normals, time, UNKNOWN, UNKNOWN)
+    frame = WallFrame.facing(seen, seen_normals)
+    return Recording(values, paired, lit, lit_normals, seen, seen_normals, time, UNKNOWN, UNKNOWN, frame)
 
 
 def _every_pixel(lit: Floats, seen: Floats) -> tuple[int, int]:

@@ -1,4 +1,5 @@
-"""One capture of a file, whatever its format, and the fields of a dataset that hold it."""
+"""One measurement as formats of other programs know it, read from a file or taken from a dataset, and the fields of a
+dataset that hold it."""
 
 from __future__ import annotations
 
@@ -15,12 +16,14 @@ from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
 from datagen.formats.containers import wall_normal
-from datagen.formats.measurement import WallFrame, lattice
-from datagen.records import OnSurfaces
+from datagen.records import OnSurfaces, TimeAxis
 from datagen.records.arrays import Floats, Ints
 from datagen.records.sample import geometry_fields
+from datagen.store.scenes import SceneContent
 
 UNKNOWN = np.full(3, np.nan)
+QUANTITIES = ("histogram", "transient", "background_histogram", "background_transient")
+_SAME_PLACE_M = 1e-9
 SMALLEST_WALL_M = 0.01
 """Width of the relay wall of a scan of a single point, which has no extent of its own."""
 _AT_ONCE = 2**22
@@ -34,47 +37,82 @@ _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 
 
 @dataclass(frozen=True)
-class Recording:
-    """One capture, in the file's own frame, metres.
+class WallFrame:
+    """Coordinates with the relay wall at z = 0 and the hidden part at z > 0, x to the right and y up as seen from the
+    room, metres.
 
-    path : the file.
-    values : (L, P, T) counts or light, as in the file; paired: (L, 1, T).
+    origin : (3,) origin of this frame, in the scene's frame.
+    axes : (3, 3) rows are the unit vectors right, up, and into the room.
+    """
+
+    origin: Floats
+    axes: Floats
+
+    def to_wall(self, points: Floats) -> Floats:
+        """(..., 3) the points (..., 3) of the scene in this frame."""
+        return (points - self.origin) @ self.axes.T
+
+    @classmethod
+    def facing(cls, seen_points: Floats, seen_normals: Floats) -> WallFrame:
+        """The frame of a wall from points on it and its normals there, which may be NaN. The origin is in the middle
+        of the points; up is the y of their own frame, or its z if y is the wall's normal."""
+        normal = wall_normal(seen_normals)
+        up = np.array([0.0, 1.0, 0.0] if abs(normal[1]) < 0.9 else [0.0, 0.0, 1.0])
+        up = up - (up @ normal) * normal
+        up = up / np.linalg.norm(up)
+        middle = (seen_points.min(axis=0) + seen_points.max(axis=0)) / 2
+        return cls(middle, np.stack([np.cross(up, normal), up, normal]))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One measurement, with positions in the frame of its file or of its scene, metres.
+
+    values : (L, P, T) counts or light; paired: (L, 1, T).
     paired : whether pixel i was measured with laser point i alone (a confocal scan).
-    laser_points, seen_points : (L, 3) and (P, 3) points on the wall; paired: both (L, 3).
-    laser_normals, seen_normals : unit normals of the wall there, of the same shapes; NaN if the file does not state
-        them.
+    laser_points, seen_points : (L, 3) laser points, and (P, 3) what each pixel looks at; paired: both (L, 3). They
+        lie off the plane of the wall where it is uneven, or where something stands before it.
+    laser_normals, seen_normals : unit normals of the surfaces there, of the same shapes; NaN where unknown.
     time : the time bins.
-    laser_position, sensor_position : (3,) positions of the devices; NaN if the file does not state them.
+    laser_position, sensor_position : (3,) positions of the devices; NaN where unknown.
+    frame : the frame of the relay wall.
     hidden : (2, 3) corners of the box that contains the hidden part, or None.
     """
 
-    path: Path
     values: NDArray[Any]
     paired: bool
     laser_points: Floats
     laser_normals: Floats
     seen_points: Floats
     seen_normals: Floats
-    time: TimeConfig
+    time: TimeAxis
     laser_position: Floats
     sensor_position: Floats
+    frame: WallFrame
     hidden: Floats | None = None
 
-    @property
-    def normal(self) -> Floats:
-        """(3,) unit normal of the relay wall, towards the hidden part."""
-        return wall_normal(self.seen_normals)
+    def on_wall(self) -> Recording:
+        """The recording with positions in the frame of the relay wall, with the wall at z = 0."""
+        to_wall, axes = self.frame.to_wall, self.frame.axes
+        return replace(
+            self, laser_points=to_wall(self.laser_points), laser_normals=self.laser_normals @ axes.T,
+            seen_points=to_wall(self.seen_points), seen_normals=self.seen_normals @ axes.T,
+            laser_position=to_wall(self.laser_position), sensor_position=to_wall(self.sensor_position),
+            frame=WallFrame(np.zeros(3), np.eye(3)),
+            hidden=None if self.hidden is None else np.sort(to_wall(self.hidden), axis=0),
+        )  # fmt: skip
 
-    @property
-    def frame(self) -> WallFrame:
-        """The frame of the relay wall, with the origin in the middle of the seen points. Up is the file's y, or its z
-        if y is the wall's normal."""
-        up = np.array([0.0, 1.0, 0.0] if abs(self.normal[1]) < 0.9 else [0.0, 0.0, 1.0])
-        up = up - (up @ self.normal) * self.normal
-        up = up / np.linalg.norm(up)
-        seen = self.seen_points
-        middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
-        return WallFrame(middle, np.stack([np.cross(up, self.normal), up, self.normal]))
+    def from_time_zero(self) -> Recording:
+        """The recording with empty bins added at both ends, so that time begins at 0 (or less than a bin later) and
+        the number of bins is a power of two, as methods in the frequency domain need it."""
+        lead = max(0, int(np.floor(self.time.start_s / self.time.width_s + 1e-6)))
+        bins = 1 << (lead + self.time.bins - 1).bit_length()
+        values = np.zeros((*self.values.shape[:2], bins), self.values.dtype)
+        values[..., lead : lead + self.time.bins] = self.values
+        start_s = self.time.start_s - lead * self.time.width_s
+        # If the start was a whole number of bins, a tiny remainder is rounding.
+        start_s = 0.0 if abs(start_s) < 1e-6 * self.time.width_s else start_s
+        return replace(self, values=values, time=replace(self.time, bins=bins, start_s=start_s))
 
     def in_order(self) -> Recording:
         """The recording with grids row by row from the top left, as seen by somebody who faces the wall. Points that
@@ -91,14 +129,6 @@ class Recording:
             seen_points=self.seen_points[pixels], seen_normals=self.seen_normals[pixels],
         )  # fmt: skip
 
-    def first_bins(self, bins: int | None) -> Recording:
-        """The recording with its first `bins` bins only (None: all); raises `InputError` if it has fewer."""
-        if bins is None:
-            return self
-        if bins > self.time.bins:
-            raise InputError(f"{self.path}: has {self.time.bins} bins, --bins {bins} asks for more")
-        return replace(self, values=self.values[..., :bins], time=self.time.model_copy(update={"bins": bins}))
-
     def geometry(self) -> dict[str, Floats]:
         """Field → value of the fields of positions. A pixel's corners are one point, since files state no extent."""
         frame = self.frame
@@ -112,6 +142,75 @@ class Recording:
         return geometry_fields(
             lit, pixels, seen, self.laser_position, self.sensor_position, wall, hidden_bounds=self.hidden
         )
+
+
+def recording_of(scene: SceneContent, quantity: str | None = None) -> Recording:
+    """A stored scene as a recording.
+
+    quantity : one of `QUANTITIES`; left out: the first of these that the dataset has.
+
+    Raises
+    ------
+    InputError : the dataset has no such field, the scene's relay wall is unknown, a laser point lies on no surface or
+        a pixel looks at none, or all laser points were lit at once (a flood), which other formats cannot express.
+    """
+    where, arrays, capture = f"{scene.root}, scene {scene.index}", scene.arrays, scene.manifest.config["capture"]
+    name = quantity_in(scene, quantity)
+    if capture.get("illumination", "scan") == "flood":
+        raise InputError(f"{where}: all laser points were lit at once, which this format cannot say; take npz or h5")
+    if not np.isfinite(arrays["relay_wall"]).all():
+        raise InputError(f"{where}: its relay wall is unknown, and this format counts from it; take npz or h5")
+    lit, seen = arrays["laser_points"], arrays["sensor_points"]
+    for points, which in ((lit, "laser point {} lies on"), (seen, "the middle of pixel {} looks at")):
+        if not np.isfinite(points).all():
+            missing = int(np.argmin(np.isfinite(points).all(axis=1)))
+            raise InputError(f"{where}: {which.format(missing)} no surface; take npz or h5")
+    center, right, up = arrays["relay_wall"]
+    axes = np.stack([right / np.linalg.norm(right), up / np.linalg.norm(up), np.zeros(3)])
+    axes[2] = np.cross(axes[0], axes[1])
+    paired = capture["pairing"] == "confocal"
+    if paired and np.abs(seen - lit).max() <= _SAME_PLACE_M:
+        # Rays of two devices that aim at one place meet it but for rounding, and a grid has one set of points.
+        seen = lit
+    middle = (seen.min(axis=0) + seen.max(axis=0)) / 2
+    frame = WallFrame(center + axes[:2].T @ (axes[:2] @ (middle - center)), axes)
+    hidden = arrays["hidden_bounds"]
+    return Recording(
+        arrays[name], paired, lit, arrays["laser_normals"], seen, arrays["sensor_normals"],
+        scene.manifest.time_of(name), arrays["laser_position"], arrays["sensor_position"], frame,
+        hidden if np.isfinite(hidden).all() else None,
+    )  # fmt: skip
+
+
+def quantity_in(scene: SceneContent, quantity: str | None) -> str:
+    """The one of `QUANTITIES` asked for, or the first that a scene has; raises `InputError` if it has none."""
+    there = [name for name in QUANTITIES if name in scene.arrays]
+    if not there or quantity not in (None, *there):
+        raise InputError(
+            f"{scene.root}, scene {scene.index}: has no field {quantity or 'histogram or transient'}; it has "
+            f"{', '.join(scene.arrays)}"
+        )
+    return quantity or there[0]
+
+
+def lattice(points: Floats) -> Ints | None:
+    """(columns, rows) index of the point at each place of the grid of (N, 3) points, x and y ascending; or None."""
+    extent = float(np.ptp(points[:, :2], axis=0).max())
+    for tolerance in (1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 3e-2):
+        columns, rows = (_clusters(points[:, axis], tolerance * extent) for axis in (0, 1))
+        number = columns * (rows.max() + 1) + rows
+        if (columns.max() + 1) * (rows.max() + 1) == len(points) == len(np.unique(number)):
+            found: Ints = np.argsort(number).reshape(columns.max() + 1, rows.max() + 1)
+            return found
+    return None
+
+
+def _clusters(values: Floats, gap: float) -> Ints:
+    """(N,) the index of each value's group; groups lie more than `gap` apart."""
+    order = np.argsort(values, kind="stable")
+    groups = np.empty(len(values), np.int64)
+    groups[order] = np.append(0, np.cumsum(np.diff(values[order]) > gap))
+    return groups
 
 
 def _rows(points: Floats) -> Ints:
@@ -150,7 +249,7 @@ def _pieces(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
 def time_bins(
     path: Path, bins: int, width_s: float | None, options: ImportOptions, *, start_s: float,
     origin: Literal["source", "wall"], named: str,
-) -> TimeConfig:  # fmt: skip
+) -> TimeAxis:  # fmt: skip
     """The time axis. The width of a bin comes from the file (`width_s`) or the options.
 
     Raises `InputError` if neither states the width or they contradict each other, and for an invalid time axis.
@@ -167,7 +266,7 @@ def time_bins(
         return TimeConfig(
             bins=bins, bin_width_ps=float(f"{width * 1e12:.12g}"), start_ns=float(f"{start_s * 1e9:.12g}"),
             origin=origin,
-        )  # fmt: skip
+        ).axis()  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix('TimeConfig: ')}") from None
 

@@ -21,8 +21,16 @@ from datagen.config.imported import ImportOptions
 from datagen.config.yaml_text import parse_yaml
 from datagen.errors import InputError, TooLargeError
 from datagen.formats.containers import Content, h5py, hdf5_content
-from datagen.formats.measurement import Measurement, lattice, measurement
-from datagen.formats.recording import UNKNOWN, Recording, refuse_options, time_bins
+from datagen.formats.recording import (
+    UNKNOWN,
+    Recording,
+    WallFrame,
+    lattice,
+    quantity_in,
+    recording_of,
+    refuse_options,
+    time_bins,
+)
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
@@ -45,9 +53,10 @@ _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat
 def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> None:
     """Write one scene. A scan without a grid becomes a list of points (T_Si, T_Li_Si).
 
-    Raises `InputError` as `measurement` does, and where h5py is missing.
+    Raises `InputError` as `recording_of` does, and where h5py is missing.
     """
-    m = measurement(scene, quantity).from_time_zero()
+    stored = recording_of(scene, quantity)
+    m = stored.on_wall().from_time_zero()
     h, h_format, lasers, sensors = _with_axes(m)
     grid_format = GridFormat.X_Y_3 if sensors.ndim == 2 else GridFormat.N_3
     content: dict[str, Any] = {
@@ -65,7 +74,7 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
         "delta_t": float(path_from_time(m.time.width_s)),
         "t_start": float(path_from_time(m.time.start_s)),
         "t_accounts_first_and_last_bounces": m.time.origin == "source",
-        "scene_info": yaml.safe_dump(_scene_info(scene, m)),
+        "scene_info": yaml.safe_dump(_scene_info(scene, quantity, stored.frame, m.hidden)),
     }
     with h5py().File(path, "w") as file:
         for name, value in content.items():
@@ -79,7 +88,7 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
                 file.create_dataset(name, data=value, compression="gzip" if name == "H" else None)
 
 
-def _with_axes(m: Measurement) -> tuple[NDArray[Any], HFormat, Ints, Ints]:
+def _with_axes(m: Recording) -> tuple[NDArray[Any], HFormat, Ints, Ints]:
     """H and its format, and the numbers of laser points and pixels along the axes of y-tal: grids (x, y) if both are
     grids, else lists."""
     lasers, sensors = lattice(m.laser_points), lattice(m.seen_points)
@@ -103,20 +112,20 @@ def _known(normals: Floats) -> NDArray[np.float32] | None:
     return normals.astype(np.float32) if np.isfinite(normals).all() else None
 
 
-def _scene_info(scene: SceneContent, m: Measurement) -> dict[str, Any]:
+def _scene_info(scene: SceneContent, quantity: str | None, frame: WallFrame, hidden: Floats | None) -> dict[str, Any]:
     info: dict[str, Any] = {
         "original_format": "datagen",
         "datagen": {
             "dataset": str(scene.manifest.config["name"]),
             "scene": scene.index,
-            "quantity": m.quantity,
-            "origin_m": m.frame.origin.tolist(),
-            "axes": m.frame.axes.tolist(),
+            "quantity": quantity_in(scene, quantity),
+            "origin_m": frame.origin.tolist(),
+            "axes": frame.axes.tolist(),
             "parameters": dict(scene.parameters),
         },
     }
-    if m.hidden is not None:
-        low, high = m.hidden
+    if hidden is not None:
+        low, high = hidden
         info["volume"] = {"center": ((low + high) / 2).tolist(), "size": (high - low).tolist()}
     return info
 
@@ -150,10 +159,12 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
         path, values.shape[-1], width_s, options, start_s=time_from_path(content.number("t_start")),
         origin="source" if from_source else "wall", named="delta_t",
     )  # fmt: skip
+    lit_normals = content.normals("laser_grid_normals", lit)
+    seen_normals = content.normals("sensor_grid_normals", seen)
+    lit, seen = lit.reshape(-1, 3), seen.reshape(-1, 3)
     return Recording(
-        path, values, paired, lit.reshape(-1, 3), content.normals("laser_grid_normals", lit), seen.reshape(-1, 3),
-        content.normals("sensor_grid_normals", seen), time, laser, sensor,
-        _hidden(path, content.texts.get("scene_info", "")),
+        values, paired, lit, lit_normals, seen, seen_normals, time, laser, sensor,
+        WallFrame.facing(seen, seen_normals), _hidden(path, content.texts.get("scene_info", "")),
     )  # fmt: skip
 
 

@@ -97,16 +97,11 @@ class Accuracy:
             if getattr(self, name) is not None:
                 check_number("Accuracy", name, getattr(self, name), *TARGETS, "a relative L2 error; 2 % is 0.02")
         if self.target is not None and self.samples is not None:
-            raise InputError(both_given("Accuracy.", self.target, self.samples))
+            raise InputError(
+                f"Accuracy.samples = {self.samples!r}: given together with Accuracy.target = {self.target!r}; leave out "
+                "one of them: a target decides the effort, samples fix it"
+            )
         if self.samples is None and self.target is None:
             object.__setattr__(self, "target", TARGET)
         if self.part_target is not None and self.target is None:
             raise InputError(f"Accuracy.part_target = {self.part_target!r}: needs a target; set target, not samples")
-
-
-def both_given(prefix: str, target: float, samples: int) -> str:
-    """The error message where a target and a number of paths are given."""
-    return (
-        f"{prefix}samples = {samples!r}: given together with {prefix}target = {target!r}; leave out one of them: a "
-        "target decides the effort, samples fix it"
-    )

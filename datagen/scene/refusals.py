@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 from datagen.config.distributions import Distribution, support
@@ -22,12 +23,15 @@ def explain(spec: SceneConfig, seed: int, index: int, reasons: Counter[tuple[str
 
 def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
     if where == "layout":
+        for key, dimension in spec.layout.dimensions().items():
+            what = re.sub(rf"\b{key}\b", f"{key} ({_range(dimension)})", what)
         return f"{times} × scene.layout: {what}"
     i = int(where.removeprefix("contents[").removesuffix("]"))
     item = spec.contents[i]
     sizes = _sizes(i, item)
     across = ("across", item.across) if item.offset_m is None else ("offset_m", item.offset_m)
     along = ("along", item.along) if item.distance_m is None else ("distance_m", item.distance_m)
+    height = "" if (given := getattr(item, "height_m", None)) is None else f" ({_range(given)})"
     where_to = f"scene.{where}.{across[0]} ({_range(across[1])}) or {along[0]} ({_range(along[1])})"
     obstacle = {
         "wall": f"did not fit between the walls: lower {sizes}, change {where_to}, or enlarge the hidden part "
@@ -36,8 +40,8 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
         f"({_range(item.count)}) or scene.clearance_m ({spec.clearance_m:g})",
         "sight": f"stood in sight of the device: change {where_to}, lower {sizes}, or enlarge the hidden part "
         "(scene.layout)",
-        "height": f"did not fit between floor and ceiling: lower scene.{where}.height_m or elevation_m, "
-        f"or raise scene.layout.height_m ({_range(spec.layout.height_m)})",
+        "height": f"did not fit between floor and ceiling: lower scene.{where}.height_m{height} or elevation_m, or "
+        f"raise scene.layout.height_m ({_range(spec.layout.height_m)})",
         "no_wall": "found no wall to stand against: set its placement to floor, or choose another scene.layout.kind",
         "unseen": f"could hardly be seen from the visible part of the relay wall: change {where_to}, remove what "
         f"stands before it, or lower scene.minimum_seen ({spec.minimum_seen:g})",
@@ -48,7 +52,10 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
 
 
 def _sizes(i: int, item: Item) -> str:
-    return " or ".join(f"scene.contents[{i}].{name} ({_range(getattr(item, name))})" for name in item.plan_sizes())
+    """The keys that decide how much floor an object takes."""
+    given = [name for name in item.sizes if getattr(item, name) is not None]
+    given = [name for name in given if name != "height_m"] or given
+    return " or ".join(f"scene.contents[{i}].{name} ({_range(getattr(item, name))})" for name in given)
 
 
 def _range(value: Distribution) -> str:

@@ -57,11 +57,11 @@ def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_accuracy_draws_what_the_time_left_room_for(count: int, tmp_path: Path) -> None:
+def test_accuracy_draws_what_the_time_left_room_for(tmp_path: Path) -> None:
     """No run of all bounces, or no run with an error at all: a slow machine has few, in a second."""
-    rows = [Row("lookins", str(k), "", 1, 0.1 * k, 0.1 / k, 0.1, 0.0, complete=False) for k in range(1, 3)]
-    assert picture(rows[:count], "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
+    row = Row("lookins", "1", "", 1, 0.1, 0.1, 0.1, 0.0, complete=False)
+    for rows in ([], [row]):
+        assert picture(rows, "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -156,10 +156,3 @@ def test_a_dark_scene_is_refused(config: str, tmp_path: Path, capsys: pytest.Cap
     Path(config).write_text(CONFIG.replace("bins: 108, bin_width_ps: 800", "bins: 4, bin_width_ps: 1"))
     assert run(["bench", "accuracy", config, str(tmp_path / "out"), "--seconds", "1"]) == 2
     assert "no light into the window" in capsys.readouterr().err
-
-
-def test_benches_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["bench", "--help"]) == 0
-    listed = capsys.readouterr().out
-    for name in ("accuracy", "stages"):
-        assert name in listed and run(["bench", name, "--help"]) == 0

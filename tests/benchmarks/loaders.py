@@ -15,13 +15,10 @@ import itertools
 import math
 import re
 import statistics
-import sys
 import tarfile
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
-from multiprocessing import active_children
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -114,31 +111,28 @@ def our_codec() -> Any:
     return Blosc("zstd", 1, Blosc.BITSHUFFLE, BLOCK_BYTES, typesize=2)
 
 
-def decoded(content: bytes, shape: Shape, compressed: bool = True) -> torch.Tensor:
+def decoded(content: bytes, shape: Shape) -> torch.Tensor:
     values = np.empty(shape[1:], np.uint16)
-    if compressed:
-        our_codec().decode(content, values)
-    else:
-        values[...] = np.frombuffer(content, np.uint16).reshape(shape[1:])
+    our_codec().decode(content, values)
     return torch.from_numpy(values)
 
 
-def write_tars(folder: Path, samples: Iterable[Counts], shape: Shape, compressed: bool) -> None:
+def write_tars(folder: Path, samples: Iterable[Counts], shape: Shape) -> None:
     for number, some in itertools.groupby(enumerate(samples), lambda of: of[0] // SAMPLES_OF_A_TAR):
         with tarfile.open(folder / f"{number:06d}.tar", "w") as tar:
             for index, counts in some:
-                content = bytes(our_codec().encode(counts)) if compressed else counts.tobytes()
+                content = bytes(our_codec().encode(counts))
                 member = tarfile.TarInfo(f"{index:08d}.counts")
                 member.size = len(content)
                 tar.addfile(member, io.BytesIO(content))
 
 
-def read_tars(folder: Path, shape: Shape, compressed: bool) -> Any:
+def read_tars(folder: Path, shape: Shape) -> Any:
     import webdataset
 
     files = sorted(str(path) for path in folder.glob("*.tar"))
     data = webdataset.WebDataset(files, shardshuffle=False, empty_check=False)
-    return data.map(lambda item: decoded(item["counts"], shape, compressed))
+    return data.map(lambda item: decoded(item["counts"], shape))
 
 
 def write_mds(folder: Path, samples: Iterable[Counts], shape: Shape) -> None:
@@ -172,14 +166,9 @@ class Peer(NamedTuple):
 PEERS = {
     "zarr": Peer("zarr", lambda path, shape: Rows(open_zarr, path, shape[0])),
     "tensorstore": Peer("tensorstore", lambda path, shape: Rows(open_tensorstore, path, shape[0])),
-    "WebDataset, our codec": Peer(
-        "webdataset", partial(read_tars, compressed=True), partial(write_tars, compressed=True)
-    ),
+    "WebDataset, our codec": Peer("webdataset", read_tars, write_tars),
     "MosaicML streaming, our codec": Peer("streaming", read_mds, write_mds),
     "HDF5, lzf": Peer("h5py", lambda path, shape: Rows(open_hdf5, path, shape[0]), write_hdf5),
-    "WebDataset, uncompressed": Peer(
-        "webdataset", partial(read_tars, compressed=False), partial(write_tars, compressed=False)
-    ),
     "np.memmap, uncompressed": Peer(
         "numpy",
         lambda path, shape: Rows(lambda at: np.memmap(at / "counts", np.uint16, "r", shape=shape), path, shape[0]),
@@ -227,12 +216,12 @@ def read_by(peer: Peer, folder: Path, root: Path, config: DatasetConfig) -> tupl
 
 
 class Way:
-    """A loader that is measured; of each epoch so far seconds, and those of the processor, by number of workers."""
+    """A loader that is measured, and the seconds of each epoch so far, by number of workers."""
 
     def __init__(self, name: str, disk_bytes: int, data: Any, joined: Callable[[Any], Any] | None = None) -> None:
         shuffle = not isinstance(data, IterableDataset)
         self.name, self.disk_bytes = name, disk_bytes
-        self.seconds: dict[int, list[tuple[float, float]]] = {n: [] for n in WORKERS}
+        self.seconds: dict[int, list[float]] = {n: [] for n in WORKERS}
         self.loaders = {
             n: DataLoader(data, BATCH, shuffle, num_workers=n, collate_fn=joined, persistent_workers=n > 0)
             for n in WORKERS
@@ -241,19 +230,10 @@ class Way:
     def epoch(self, workers: int) -> None:
         """Run through the data once more."""
         batches = iter(self.loaders[workers])  # which starts the workers
-        began = time.perf_counter(), processor_s()
+        began = time.perf_counter()
         for _ in batches:
             pass
-        self.seconds[workers].append((time.perf_counter() - began[0], processor_s() - began[1]))
-
-
-def processor_s() -> float:
-    """Of this process and its workers, all that are alive; elsewhere than on Linux of this one alone."""
-    used = time.process_time()
-    if sys.platform == "linux":
-        # The clock of another process (clock_getcpuclockid).
-        used += sum(time.clock_gettime((~child.pid << 3) | 2) for child in active_children() if child.pid)
-    return used
+        self.seconds[workers].append(time.perf_counter() - began)
 
 
 def ways(folder: Path, shape: Shape, samples: int) -> list[Way]:
@@ -273,18 +253,12 @@ def ways(folder: Path, shape: Shape, samples: int) -> list[Way]:
 
 
 def table(found: Sequence[Way], shape: Shape, samples: int) -> str:
-    """Markdown: bytes on disk; samples/s in the first epoch and, median, later; MB/s and processor ms of these."""
-    mega, rows = 2 * math.prod(shape) / 1e6, list[list[str]]()
+    """Markdown: bytes on disk, and the median samples/s after the first epoch."""
+    rows = []
     for way in found:
-        row = [way.name, f"{way.disk_bytes / samples / 1e3:.0f}"]
-        for workers in WORKERS:
-            first, *later = way.seconds[workers]
-            wall, processor = (statistics.median(of) for of in zip(*later, strict=True))
-            row += [f"{samples / first[0]:.0f}", f"{samples / wall:.0f}"]
-            row += [f"{mega * samples / wall:.0f}", f"{1e3 * processor / samples:.2f}"]
-        rows.append(row)
-    of_workers = ("first epoch", "samples/s", "MB/s", "processor ms")
-    head = [f"{n} workers: {of}" if of == of_workers[0] else of for n in WORKERS for of in of_workers]
+        rates = [f"{samples / statistics.median(way.seconds[workers][1:]):.0f}" for workers in WORKERS]
+        rows.append([way.name, f"{way.disk_bytes / samples / 1e3:.0f}", *rates])
+    head = [f"{n} workers: samples/s" for n in WORKERS]
     return markdown(["×".join(map(str, shape)), "kB on disk", *head], rows)
 
 

@@ -14,7 +14,7 @@ from datagen.bench.measuring import percent
 from datagen.records import Accuracy, Capture, Rectangle, Scene, TimeAxis
 from datagen.records.arrays import Floats, l2_norm
 from datagen.transport import simulate
-from datagen.units import path_from_time, time_from_path
+from datagen.units import time_from_path
 
 LATE_S = 10e-9
 """Light after this has mostly bounced four times."""
@@ -121,29 +121,21 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
 
 def in_room(
     what: str, scene: Scene, points_a_side: int = 16, lasers: Floats | None = None, bounces: int = 3, *,
-    axis: TimeAxis | None = None, reference: int = 1000, by_walks: bool = False, objects: bool = False,
+    reference: int = 1000, objects: bool = False,
     counts: tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]] = COUNTS, most: int = 100,
 ) -> Case:  # fmt: skip
     """A square grid of points on the wall of a room: a confocal scan, or each seen from every laser point.
 
-    axis : left out: 512 bins of 3 cm. reference : the truth is ours to an error of 1/reference or, `by_walks`, of so
-    many traced paths. counts : as `COUNTS`. most : as for `Case`.
+    reference : the truth is ours to an error of 1/reference. counts : as `COUNTS`. most : as for `Case`.
     """
-    axis, sides = axis or path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
+    axis, sides = path_axis(512, 0.03, 0.0), (points_a_side, points_a_side)
     errors, walks, paths = counts
     points = grid_points(WALL, *sides)
     lit = points if lasers is None else lasers
     capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
     cells, walk = to_target(scene, capture, bounces, objects), by_walk(scene, capture, bounces)
-    if by_walks:
-        halves = [walk(reference // 2, 1000 + k) for k in range(2)]
-        truth = (halves[0] + halves[1]) / 2
-        uncertain = float(np.linalg.norm(halves[0] - halves[1]) / 2 / np.linalg.norm(truth))
-        known = f"{reference} walks of ours, uncertain by {percent(uncertain)}"
-    else:
-        truth, known = cells(reference, 1000), f"cells to 1/{reference}"
-    name = "ours, by target" if by_walks else "ours, cells"
-    contenders = [Contender(name, "", cells, errors, truth, takes_error=True)]
+    truth = cells(reference, 1000)
+    contenders = [Contender("ours, cells", "", cells, errors, truth, takes_error=True)]
     if walks:
         contenders.append(Contender("ours, walk", "lookins a laser point", walk, walks, truth))
     if missing_for_mitransient() is None:
@@ -156,20 +148,9 @@ def in_room(
         contenders.append(Contender(PEER, "paths a point", render, paths, truth))
     orders = "3 bounces" if bounces == 3 else "3 + 4 bounces"
     seen = f"{points_a_side}² " + ("confocal points" if lasers is None else f"pixels × {len(lit)} laser point(s)")
-    width_cm = 100 * float(path_from_time(axis.width_s))
-    title = f"{what}, {seen}, {axis.bins} bins of {width_cm:.0f} cm, {orders} (reference: {known})"
-    late = int(np.searchsorted(axis.centers_s, LATE_S)) if bounces > 3 and not by_walks else None
+    title = f"{what}, {seen}, 512 bins of 3 cm, {orders} (reference: cells to 1/{reference})"
+    late = int(np.searchsorted(axis.centers_s, LATE_S)) if bounces > 3 else None
     return Case(title, 2, 0.02, tuple(contenders), late, most)
-
-
-def one_laser_point(points_a_side: int) -> Case:
-    """One laser point, points on the relay wall, three and four bounces in bins of 10 cm."""
-    most = (1 << 20) // points_a_side**2
-    counts = (10, 50, 100), (1 << 12, 1 << 14, 1 << 16), (most // 16, most // 4, most)
-    return in_room(
-        ROOM, furnished_room(), points_a_side, np.array([[0, -0.8, 1.4]]), 4, axis=path_axis(170, 0.1, 0.0),
-        reference=1 << 20, by_walks=True, counts=counts,
-    )  # fmt: skip
 
 
 def path_axis(bins: int, width_m: float, start_m: float) -> TimeAxis:
@@ -188,12 +169,8 @@ CASES: dict[str, Callable[[], Case]] = {
     "plate": bare_plate,
     "scan": lambda: in_room(ROOM, furnished_room(), counts=(COUNTS[0], (1 << 9, 1 << 11, 1 << 13), COUNTS[2])),
     "scan, meshes": lambda: in_room(MESHED, meshed(), reference=400, objects=True),
-    "scan, 3 + 4 bounces": lambda: in_room(ROOM, furnished_room(), 8, bounces=4, reference=200),
-    "room, 1 point": lambda: one_laser_point(1),
-    "room, 4 × 4 points": lambda: one_laser_point(4),
 }
 DEAR: dict[str, Callable[[], Case]] = {
-    "scan, meshes, 3 + 4 bounces": lambda: in_room(MESHED, meshed(), 8, bounces=4, reference=100, most=1),
     "exhaustive": lambda: in_room(
         ROOM, furnished_room(), 8, grid_points(WALL, 3, 3), 4, reference=100, counts=((50,), *COUNTS[1:]), most=1
     ),

@@ -6,9 +6,7 @@
   against quadrature. Ours, mitransient at its best there (hidden-geometry sampling), and plain quadrature, which
   knows that there is nothing else in the scene.
 - *Scans* of a closed room with a box and a pillar, and of the same with meshes in it; relative L2 error of the whole,
-  of the worst object, and of light after 10 ns, against ours to a much smaller error. The mean of mitransient's
-  longest runs is compared with that reference.
-- *One laser point*, three and four bounces; relative L2 error per 0.1 m bin against much path tracing.
+  of the worst object, and of light after 10 ns, against ours to a much smaller error.
 
 Ours is timed as a user calls it, `simulate` with all its preparation; the others after their preparation
 (mitransient's scene and kernels are built before the clock starts). Runs take turns, so that a busy machine disturbs
@@ -30,15 +28,13 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import click
-import numpy as np
 from benchmarks.other_renderers import missing_for_mitransient
-from benchmarks.peer_cases import CASES, DEAR, PEER, Case, Contender
+from benchmarks.peer_cases import CASES, DEAR, Case, Contender
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from datagen.bench.measuring import machine, markdown, percent, processor_seconds
 from datagen.errors import InputError
 from datagen.exit_status import exit_with, guarded
-from datagen.records.arrays import Floats
 from datagen.report.style import INK, house_style, new_figure, save_png
 from datagen.store.files import check_writable
 
@@ -49,7 +45,6 @@ class Run:
 
     seconds: float
     errors: dict[str, float]
-    result: Floats
 
     @property
     def error(self) -> float:
@@ -71,7 +66,7 @@ def measured(case: Case, repeats: int) -> list[Turn]:
     def once(contender: Contender, samples: int, seed: int) -> Run:
         time.sleep(RESTING_S)
         result, seconds = processor_seconds(lambda: contender.run(samples, seed))
-        return Run(seconds, case.errors(result, contender.truth), result)
+        return Run(seconds, case.errors(result, contender.truth))
 
     if case.most > 1:
         # Once before the clock starts: shapes that depend on the number of samples compile anew in mitransient.
@@ -115,8 +110,7 @@ def lines_of(case: Case, turns: Sequence[Turn]) -> dict[str, list[tuple[float, f
 
 
 def report(case: Case, turns: Sequence[Turn]) -> str:
-    """Markdown: error and seconds of every contender, its seconds to the target error over ours, and the distance of
-    mitransient's mean from the reference."""
+    """Markdown: error and seconds of every contender, and its seconds to the target error over ours."""
     first, lines = case.contenders[0], lines_of(case, turns)
     names = list(turns[0][first.name][0].errors)
     cells, ends = list[list[str]](), list[str]()
@@ -135,8 +129,6 @@ def report(case: Case, turns: Sequence[Turn]) -> str:
         median = statistics.median(s for s, _ in taken)
         took = f"{percent(case.target)} in {median:.3g} processor s{how}"
         ends.append(f"- {contender.name}: {took} ({ratio:.3g} × ours)")
-        if contender.name == PEER and len(turns) > 1:
-            ends.append(agreement(contender, [turn[PEER][-1].result[0] for turn in turns]))
     head = ["", "samples", "processor s", *names]
     return "\n".join([f"### {case.title}", "", markdown(head, cells), "", *ends, ""])
 
@@ -161,20 +153,6 @@ def picture(
         axes.margins(0.12, 0.15)
         axes.set_title(title, fontsize=10, color=INK)
         return save_png(figure, path)
-
-
-def agreement(peer: Contender, runs: Sequence[Floats]) -> str:
-    """A line on the mean of a peer's runs: distance from the reference, standard error, and ratio of the energies."""
-    values, truth = np.array(runs), peer.truth[0]
-    norm, count = float(np.linalg.norm(truth)), len(values)
-    apart = float(np.linalg.norm(values.mean(axis=0) - truth)) / norm
-    noise = float(np.linalg.norm(values.std(axis=0, ddof=1))) / math.sqrt(count) / norm
-    energies = values.sum(axis=(1, 2)) / truth.sum()
-    uncertain = float(energies.std(ddof=1)) / math.sqrt(count)
-    return (
-        f"- its mean of {count} × {peer.samples[-1]} {peer.unit} is {percent(apart)} from the reference, its own "
-        f"noise {percent(noise)}; energy {float(energies.mean()):.4f} ± {uncertain:.4f} of the reference's"
-    )
 
 
 @click.command()

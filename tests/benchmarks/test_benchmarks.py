@@ -39,7 +39,7 @@ def test_loaders_print_a_rate_of_each(monkeypatch: pytest.MonkeyPatch, capsys: p
     loaders.main()
     rows = [line.split(" | ") for line in capsys.readouterr().out.split("---:")[-1].splitlines()[1:]]
     assert [row[0].strip("| ") for row in rows[:4]] == [*loaders.OURS, "zarr"]
-    assert all(float(row[column]) > 0 for row in rows for column in (2, 3)), "samples a second"
+    assert all(float(row[2].rstrip(" |")) > 0 for row in rows), "samples a second"
 
 
 def test_the_plain_detector_keeps_what_ours_expects(monkeypatch: pytest.MonkeyPatch) -> None:

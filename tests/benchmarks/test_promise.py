@@ -25,16 +25,12 @@ SIMPLE = 3
 """A scene of a few histograms for which 2¹⁶ samples are accurate enough."""
 
 
-def test_a_scene_is_a_function_of_its_number() -> None:
-    one, again, other = foreign_scene(5), foreign_scene(5), foreign_scene(6)
-    assert np.array_equal(one.scene.vertices, again.scene.vertices) and one.scene.materials == again.scene.materials
-    assert np.array_equal(one.capture.sensor.pixels, again.capture.sensor.pixels)
-    assert one.scene.vertices.shape != other.scene.vertices.shape or one.scene.materials != other.scene.materials
-
-
-def test_what_is_drawn_is_what_is_said() -> None:
-    """100 scenes have every BRDF, shape, scan and surrounding, pixels of 2 mm to 20 cm and bins of 20 to 300 ps."""
+def test_scenes_are_functions_of_their_numbers_and_span_what_is_said(tmp_path: Path) -> None:
+    """Every BRDF, shape, scan and surrounding; pixels of 2 mm to 20 cm, bins of 20 to 300 ps; meshes of a folder."""
     drawn = [foreign_scene(index) for index in range(100)]
+    again = foreign_scene(5)
+    assert np.array_equal(drawn[5].scene.vertices, again.scene.vertices)
+    assert drawn[5].scene.materials == again.scene.materials != drawn[6].scene.materials
     assert {one.scan for one in drawn} == {"confocal", "exhaustive", "array"}
     assert {one.surroundings for one in drawn} == {"open", "floor", "room"}
     assert {one.max_bounces for one in drawn} == {3, 4}
@@ -44,18 +40,10 @@ def test_what_is_drawn_is_what_is_said() -> None:
     assert 0.0019 < min(sides) < 0.01 and 0.1 < max(sides) < 0.21
     widths = [one.capture.time.width_s for one in drawn]
     assert 20e-12 <= min(widths) < 30e-12 and 200e-12 < max(widths) <= 300e-12
-
-
-def test_meshes_of_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--meshes .*: no \.obj"):
+    with pytest.raises(InputError, match="--meshes"):
         mesh_files(tmp_path)
     trimesh.creation.capsule().export(tmp_path / "mine.stl")
-    drawn = [foreign_scene(index, tmp_path) for index in range(20)]
-    assert 5 < sum("mine.stl" in one.shapes.values() for one in drawn) < 20
-    for one in drawn:
-        for name, shape in one.shapes.items():
-            side = np.ptp(one.scene.vertices[one.scene.triangles[one.scene.faces_of(name)]].reshape(-1, 3), axis=0)
-            assert shape and 0.05 < side.max() < 0.8 * np.sqrt(3)
+    assert 5 < sum("mine.stl" in foreign_scene(index, tmp_path).shapes.values() for index in range(20)) < 20
 
 
 def test_the_square_of_an_error_has_no_bias() -> None:
@@ -90,24 +78,19 @@ def few_samples() -> Iterator[None]:
 
 @pytest.mark.usefixtures("few_samples")
 def test_a_wrong_transient_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some of the light missing, or all of it a bin late, under a claim of 5 %; as it is, it is within."""
+    """All light a bin late, under a claim of 5 %; as it is, it is within."""
     plainly, case = promise._simulated, foreign_case(SIMPLE)
     (right,) = [one for one in checks_of(case, [0.05]) if one.what == WHOLE]
     assert right.decided and right.within and right.promised and not right.overclaimed
     assert right.energy == pytest.approx(1, abs=0.02)
 
-    def dim(run: Transient) -> Transient:
-        return replace(run, components={name: 0.85 * light for name, light in run.components.items()})
-
     def late(run: Transient) -> Transient:
         return replace(run, components={name: np.roll(light, 1, axis=2) for name, light in run.components.items()})
 
-    for spoil in (dim, late):
-        monkeypatch.setattr(promise, "_simulated", lambda light, spoil=spoil: spoil(plainly(light)))
-        (wrong,) = [one for one in checks_of(case, [0.05], f"--first {SIMPLE}") if one.what == WHOLE]
-        assert wrong.promised and wrong.decided and not wrong.within
-        assert f"--first {SIMPLE} --target 0.05" in line_of(wrong)
-    assert wrong.overclaimed
+    monkeypatch.setattr(promise, "_simulated", lambda light: late(plainly(light)))
+    (wrong,) = [one for one in checks_of(case, [0.05], f"--first {SIMPLE}") if one.what == WHOLE]
+    assert wrong.promised and wrong.decided and not wrong.within and wrong.overclaimed
+    assert f"--first {SIMPLE} --target 0.05" in line_of(wrong)
 
 
 def test_few_points_of_a_configuration_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,18 +107,14 @@ def test_few_points_of_a_configuration_stand_for_all(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.usefixtures("few_samples")
 def test_by_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = [str(tmp_path), "--foreign", "1", "--first", str(SIMPLE), "--target", "0.1"]
+    """What was measured is kept; configurations without a target promise nothing; bad calls are told in a line."""
     printed = []
     for _ in range(2):
+        arguments = [str(tmp_path), "--foreign", "1", "--first", str(SIMPLE), "--target", "0.1"]
         assert guarded(promise.main, arguments) == 0
         printed.append(capsys.readouterr().out)
-    assert printed[0] == printed[1] and "1 foreign scenes" in printed[0], "kept, not measured again"
+    assert printed[0] == printed[1] and "1 foreign scenes" in printed[0]
     assert (tmp_path / "foreign.md").read_text().startswith("1 foreign scenes")
-    arguments[arguments.index("1")] = "2"
-    assert guarded(promise.main, arguments) == 0 and "2 foreign scenes" in capsys.readouterr().out
-
-
-def test_configurations_without_a_target_promise_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scan = "capture: {pairing: confocal, scan: {rows: 3, columns: 3}, time: {bins: 108, bin_width_ps: 800}}"
     (tmp_path / "fixed.yaml").write_text(f"{scan}\ntransport: {{lookins: 256, fov_samples: 1}}")
     (tmp_path / "held.yaml").write_text(f"{scan}\ntransport: {{target: 0.1}}")
@@ -143,39 +122,24 @@ def test_configurations_without_a_target_promise_nothing(tmp_path: Path, capsys:
     assert guarded(promise.main, [str(tmp_path), *configs, "--scenes", "1", "--points", "4", "--target", "0.1"]) == 0
     rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| whole ")]
     assert rows[0][1:3] == ["0.1", "1"]
+    for wrong in (["--foreign", "0"], ["--foreign", "1", "a.yaml"], ["--meshes", "x"], []):
+        assert guarded(promise.main, [str(tmp_path), *wrong]) == 2
+        assert "--foreign" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("wrong", [["--foreign", "0"], ["--foreign", "1", "a.yaml"], ["--meshes", "x"], []])
-def test_bad_calls(wrong: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert guarded(promise.main, [str(tmp_path), *wrong]) == 2
-    assert "--foreign" in capsys.readouterr().err
+BROKEN = {
+    6101: 0.02, 6104: 0.02, 6128: 0.05, 6145: 0.02, 6160: 0.02, 6193: 0.02, 6234: 0.02, 6274: 0.02, 6289: 0.05,
+    6308: 0.02,
+}  # fmt: skip
+"""Foreign scene → target at which an error once was several times its claim: retroreflecting meshes before pixels as
+wide as the lobe, plates behind others, meshes that shade each other, a floor nearly a mirror, light of four bounces
+between small objects."""
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("index", "target"),
-    [
-        (6101, 0.02),
-        (6104, 0.02),
-        (6128, 0.05),
-        (6145, 0.02),
-        (6160, 0.02),
-        (6193, 0.02),
-        (6234, 0.02),
-        (6274, 0.02),
-        (6289, 0.05),
-        (6308, 0.02),
-    ],
-)
-def test_scenes_that_once_broke_their_claims_keep_them(index: int, target: float) -> None:
-    """In the own light of one of their objects: retroreflecting meshes before pixels as wide as the lobe (6101, 6145;
-    29 and 8 % off); a plate with 1e-7 of the light (6104, 23 %); a plate behind a torus (6160, 9 %); meshes
-    that shade themselves and each other beside a confocal scan (6193, 5 %); a mesh so near to large pixels that
-    the light of each arrives over many bins (6234, 12 %); and a torus of whose 15 pairs the one with most of the
-    error was not tried (6289, 15 %). In the whole: walls beside a floor that is nearly a mirror (6128, 7 %); and
-    light of four bounces between small objects, of which path tracing had met a few paths or none (6274, 6308;
-    2.2 and 2.9 %)."""
+@pytest.mark.parametrize("index", BROKEN)
+def test_scenes_that_once_broke_their_claims_keep_them(index: int) -> None:
     if not (MESHES / "stanford-bunny.obj").is_file():
         pytest.skip("real meshes are not part of the repository; put them into shared/meshes beside the checkout")
-    checks = checks_of(foreign_case(index, MESHES), [target])
+    checks = checks_of(foreign_case(index, MESHES), [BROKEN[index]])
     assert not [line_of(one) for one in checks if one.overclaimed]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from rooms import ONE_BOUNCE, plane_ahead
 from scipy.stats import chi2
 
 import datagen as dg
@@ -67,12 +68,10 @@ def test_a_beam_with_footprints_equals_the_definition(bounces: int) -> None:
 
 def test_light_of_one_bounce_has_its_closed_form() -> None:
     """Before a wide wall that it faces, a narrow zone gets share · ρ/π · A/z² at the time 2 z/c."""
-    wall = trimesh.creation.box((0.1, 20, 20), at((2.05, 0, 0)))
-    room = dg.Scene.from_parts([dg.Part("wall", wall, dg.Lambertian(0.6), role="relay_wall")])
     laser = dg.Laser.flood(DEVICE, (1, 0, 0), (0, -0.5, 0), (0, 0, 0.5), 4, 4)
     sensor = dg.Sensor.grid(DEVICE, (1, 0, 0), (0, -0.05, 0), (0, 0, 0.05), 1, 1, 1e-3)
     capture = dg.Capture(laser, sensor, dg.TimeAxis(100, 200e-12), "exhaustive", "flood")
-    found = dg.simulate(room, capture, dg.Accuracy(max_bounces=1, direct=True, lookins=1, replicates=1)).total[0, 0]
+    found = dg.simulate(plane_ahead(2.0, 0.6), capture, ONE_BOUNCE).total[0, 0]
     share = 0.1**2 / 1.0**2
     np.testing.assert_allclose(found.sum(), share * 0.6 / np.pi * np.pi * 1e-6 / 4, rtol=0.03)
     assert found.argmax() == int(4 / 299_792_458 / 200e-12)

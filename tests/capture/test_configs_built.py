@@ -15,16 +15,6 @@ from datagen.store import read_manifest, verify
 pytestmark = pytest.mark.usefixtures("builds_here")
 
 
-def test_there_are_at_least_eight() -> None:
-    assert len(READY) >= 8
-    configs = [load_config(path) for path in READY]
-    kinds = {(config.capture.pairing, config.capture.scan.kind) for config in configs}
-    assert {("confocal", "grid"), ("confocal", "subset"), ("exhaustive", "grid"), ("exhaustive", "points")} <= kinds
-    assert any(config.capture.illumination == "flood" and config.transport.direct for config in configs)
-    assert any(config.scene.layout.relay_wall.kind != "flat" for config in configs)
-    assert any({"shaded", "objects"} <= set(config.store.fields) for config in configs)
-
-
 @pytest.mark.parametrize("path", READY, ids=lambda path: path.stem)
 def test_every_ready_configuration_is_built(path: Path, tmp_path: Path) -> None:
     config = reduced(load_config(path))

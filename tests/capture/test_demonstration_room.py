@@ -41,12 +41,9 @@ def test_room_and_capture_are_those_of_the_paper(room: tuple[Scene, Capture, Tra
     pillar = scene.corners[scene.face_part == scene.part_names.index("pillar")]
     assert pillar[..., 2].min() == 0 and pillar[..., 2].max() == scene.vertices[:, 2].max()
     assert scene.parameters["pillar.rotation_deg"] == 45
-
-
-def test_every_scene_is_the_same_room() -> None:
     config = load_config(CONFIG)
-    one, other = (dg.generate_scene(config.scene, config.seed, index) for index in (0, 5))
-    np.testing.assert_array_equal(one.corners, other.corners)
+    other = dg.generate_scene(config.scene, config.seed, 5)
+    np.testing.assert_array_equal(scene.corners, other.corners)
 
 
 def test_peaks_lie_where_the_paper_has_them_in_the_order_of_its_figure(

@@ -88,8 +88,8 @@ def test_wrong_edges_are_refused_in_a_line(tmp_path: Path) -> None:
         ("other.npz", "edges_ps"),
         ([[0, 200, 100]], "never descend"),
         (7, "edge"),
-        (f"{EDGES[0]}, tdc_dnl: 0.2", "tdc_dnl and tdc_edges_ps"),
-        (f"{EDGES[0]}, tdc_period_bins: 30", "tdc_period_bins and tdc_edges_ps"),
+        (f"{EDGES[0]}, tdc_dnl: 0.2", "tdc_edges_ps and tdc_dnl"),
+        (f"{EDGES[0]}, tdc_period_bins: 30", "tdc_edges_ps and tdc_period_bins"),
     ):
         with pytest.raises(InputError, match=named) as refused:
             written(tmp_path, given)

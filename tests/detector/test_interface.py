@@ -15,7 +15,6 @@ from datagen.detector import (
     detector_for,
     expected_histogram,
 )
-from datagen.detector.flux import hot_pixels
 from datagen.errors import InputError
 from datagen.records import TimeAxis
 
@@ -35,7 +34,6 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
     ("make", "words"),
     [
         (lambda: Spad(pde=1.5), ["Spad.pde", "1.5", "0 … 1"]),
-        (lambda: Spad(pde=float("nan")), ["Spad.pde", "nan"]),
         (lambda: Spad(dead_time_s=50), ["Spad.dead_time_s", "50e-9"]),
         (lambda: Spad(afterpulse_probability=0.9), ["Spad.afterpulse_probability", "0.5"]),
         (lambda: Spad(afterpulse_times_s=()), ["afterpulse_times_s"]),
@@ -55,8 +53,6 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
         (lambda: detect(np.zeros((0, 1, 64)), TIME, Spad(), EXPOSURE), ["empty"]),
         (lambda: detect([["a"]], TIME, Spad(), EXPOSURE), ["real numbers"]),
         (lambda: detect(BLOCK, TIME, Spad(gate_start_s=50e-9, gate_width_s=60e-9), EXPOSURE), ["gate", "period"]),
-        (lambda: detect(BLOCK, TIME, Spad(gate_start_s=-1e-9, gate_width_s=6e-9), EXPOSURE), ["gate", "period"]),
-        (lambda: detect(BLOCK, TIME, Spad(), Exposure(2e9)), ["2e+09", "period"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, seed=-1), ["seed", "≥ 0"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, tolerance=-1.0), ["tolerance"]),
         (lambda: detect(BLOCK, TIME, Spad(), EXPOSURE, first_pixel=-1), ["first_pixel"]),
@@ -67,10 +63,6 @@ def spike(laser: int, pixel: int, bin_: int, value: float) -> np.ndarray:
         ),
         (
             lambda: detect(spike(0, 1, 9, 1.0), TIME, Spad(), Exposure(1e7, 10**12, 1e9)),
-            ["laser 0, pixel 1", "bin 9", "1e+13"],
-        ),
-        (
-            lambda: choose_sampler(spike(0, 1, 9, 1.0), TIME, Spad(), Exposure(1e7, 10**12, 1e9)),
             ["laser 0, pixel 1", "bin 9", "1e+13"],
         ),
         (
@@ -171,8 +163,6 @@ def test_an_axis_longer_than_the_period_is_refused(mode):
     for take in (detect, expected_histogram, choose_sampler):
         with pytest.raises(InputError, match=r"rate_hz = 2e\+07.* at most 50 bins, 781.25 ps a bin, or 15.625 MHz"):
             take(light, TIME, spad, Exposure(20e6, 1000, 1.0))
-        with pytest.raises(InputError, match=r"at most 7\.8125 ps a bin, or"):
-            take(light, TIME, spad, Exposure(2e9, 1000, 1.0))
         take(light[:50], TimeAxis(50, 1e-9), spad, Exposure(20e6, 1000, 1.0))
         take(light, TIME, spad, Exposure(15.625e6, 1000, 1.0))
 
@@ -209,14 +199,12 @@ def test_gate_with_ramps_passes_its_area():
 
 def test_hot_pixels_belong_to_the_array():
     spad = Spad(dark_count_rate_hz=100, hot_pixel_fraction=0.1, hot_pixel_factor=50, hot_pixel_seed=4)
-    all_of_them = hot_pixels(spad, 5000)
-    assert 380 < all_of_them.sum() < 620
-    for first in (1, 2, 3, 4, 777):
-        np.testing.assert_array_equal(hot_pixels(spad, 40, first), all_of_them[first : first + 40])
-    mean = expected_histogram(np.zeros((2, 40, 64)), TIME, spad, EXPOSURE)
-    hot = all_of_them[:40]
-    assert hot.any()
-    np.testing.assert_allclose(mean[1, hot].sum(-1), 50 * mean[0, ~hot].sum(-1).mean(), rtol=1e-9)
+    mean = expected_histogram(np.zeros((1, 5000, 1)), TimeAxis(1, 1e-9), spad, EXPOSURE)[0, :, 0]
+    hot = mean > 2 * mean.min()
+    assert 380 < hot.sum() < 620
+    np.testing.assert_allclose(mean[hot], 50 * mean[~hot].mean(), rtol=1e-9)
+    part = expected_histogram(np.zeros((1, 40, 1)), TimeAxis(1, 1e-9), spad, EXPOSURE, first_pixel=777)
+    np.testing.assert_array_equal(part[0, :, 0], mean[777:817])
 
 
 @pytest.mark.parametrize(
@@ -224,7 +212,6 @@ def test_hot_pixels_belong_to_the_array():
     [
         (Spad(pde=1.0, mode="ideal", dead_time_s=1e-6), 5.0, 10**6, "poisson"),
         (Spad(pde=1.0, mode="free_running"), 5.0, 10**6, "poisson"),
-        (Spad(pde=1.0, dead_time_s=50e-9), 1e-5, 10**6, "poisson"),
         (Spad(pde=1.0, dead_time_s=50e-9), 1e-3, 10**6, "poisson"),
         (Spad(pde=1.0, dead_time_s=50e-9), 1e-3, 10**9, "events"),
         (Spad(pde=1.0, dead_time_s=50e-9), 0.5, 10**6, "events"),
@@ -246,17 +233,6 @@ def test_the_cheapest_sampler_within_its_bound_is_chosen(spad, flux, cycles, sam
     assert exact.poisson_bias == 0 or exact.sampler != "poisson"
 
 
-def test_approximate_samplers_are_chosen_only_on_request():
-    transient, exposure = np.full(64, 1.0 / 64), Exposure(1e7, 10**8, 1.0)
-    with pytest.raises(InputError, match="approximate=True"):
-        choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
-    plan = choose_sampler(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
-    assert plan.sampler == "multinomial" and plan.approximate
-    counts = detect(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure, approximate=True)
-    mean = expected_histogram(transient, TIME, Spad(pde=1.0, dead_time_s=50e-9), exposure)
-    assert abs(counts.sum() / mean.sum() - 1) < 1e-3
-
-
 def test_samplers_are_chosen_for_each_histogram():
     transient = np.zeros((2, 1, 64))
     transient[0], transient[1] = 1e-9, 0.01
@@ -270,7 +246,7 @@ def test_classes_stay_in_their_ranges_and_are_correlated(name):
     ranges = DETECTOR_CLASSES[name]
     assert all(r.source for r in ranges.values())
     config = DetectorConfig(detector_class=name, mode="free_running")
-    drawn = [detector_for(config, seed=1, index=i) for i in range(400)]
+    drawn = [detector_for(config, seed=1, index=i) for i in range(200)]
     for key, r in ranges.items():
         values = [
             e.repetition_rate_hz if key == "repetition_rate_hz"
@@ -292,7 +268,9 @@ def test_configured_numbers_replace_those_of_the_class_and_scenes_are_independen
     )
     drawn = [detector_for(config, 5, i) for i in range(60)]
     assert all(0.1 <= s.pde <= 0.2 and s.dead_time_s == pytest.approx(33e-9) for s, _ in drawn)
-    assert all(s.gate_width_s == pytest.approx(20e-9) and 1e3 <= e.cycles <= 1e5 for s, e in drawn)
+    gates = [(s.gate_start_s, s.gate_width_s, s.gate_rise_s) for s, _ in drawn]
+    assert all(gate == pytest.approx((5e-9, 20e-9, 2e-10)) for gate in gates)
+    assert all(1e3 <= e.cycles <= 1e5 for _, e in drawn)
     assert len({s.pde for s, _ in drawn}) == 60
     assert drawn[7] == detector_for(config, 5, 7)
     assert detector_for(config, 6, 7) != drawn[7]
@@ -328,9 +306,3 @@ def test_every_key_of_the_configuration_reaches_the_detector(key):
     numbers |= set(changed[0].afterpulse_times_s)
     if key not in OTHER_VALUES and key != "cycles":
         assert any(number == pytest.approx(0.125 * unit, rel=1e-12) for number in numbers)
-
-
-def test_a_gate_of_the_configuration_is_that_of_the_detector():
-    gate = {"start_ns": 5, "width_ns": 20, "rise_ps": 200}
-    spad, _ = detector_for(DetectorConfig.model_validate({"gate": gate}), 0, 0)
-    assert (spad.gate_start_s, spad.gate_width_s, spad.gate_rise_s) == pytest.approx((5e-9, 20e-9, 2e-10))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
+from rooms import ONE_BOUNCE, plane_ahead
 
 import datagen as dg
 from datagen.capture.device_optics import zone_boxes
@@ -15,18 +15,14 @@ from datagen.devices import device_names
 from datagen.devices.model import Device
 from datagen.errors import InputError
 
-at = trimesh.transformations.translation_matrix
-
 
 def before_a_plane(device: Device, metres: float) -> tuple[np.ndarray, dg.Capture]:
     """(laser, pixel, bin) expected histograms before a white plane that a device faces, with one bounce of light."""
-    plane = trimesh.creation.box((0.02, 20, 20), at((metres + 0.01, 0, 0)))
-    scene = dg.Scene.from_parts([dg.Part("plane", plane, dg.Lambertian(0.8), role="relay_wall")])
     capture, spad, exposure = device.at((0, 0, 0), (1, 0, 0))
     few = np.arange(min(len(capture.laser.targets), 4))
     if capture.illumination == "scan":
         capture = capture.excerpt(few)
-    light = dg.simulate(scene, capture, dg.Accuracy(lookins=1, replicates=1, max_bounces=1, direct=True))
+    light = dg.simulate(plane_ahead(metres), capture, ONE_BOUNCE)
     return dg.expected_histogram(light.total, capture.time, spad, exposure, approximate=True), capture
 
 
@@ -57,13 +53,6 @@ def test_every_number_has_its_source(name: str) -> None:
         for key in getattr(device, section).model_dump(exclude_defaults=True):
             assert device.source_of(section, key), f"{name}: {section}.{key} has no source"
     assert all(line in str(device) for line in ("wavelength_nm", "counting.pde"))
-
-
-def test_a_device_file_is_a_device(tmp_path: Path) -> None:
-    device = dg.device("tmf8820")
-    dg.write_device(device, tmp_path / "mine.yaml")
-    again = dg.device(tmp_path / "mine.yaml")
-    assert again == device
 
 
 def test_a_measured_map_is_a_footprint(tmp_path: Path) -> None:

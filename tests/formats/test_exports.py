@@ -21,7 +21,7 @@ from point_target import LIGHT, SCANS, config_of, hidden_point
 import datagen as dg
 from datagen.errors import InputError
 from datagen.formats import export
-from datagen.formats.measurement import WallFrame, lattice, measurement
+from datagen.formats.recording import WallFrame, lattice, recording_of
 from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 from datagen.store import verify
@@ -106,7 +106,7 @@ def test_stanford_mat_shifted_by_its_tofgrid_counts_from_the_wall(origin: str, m
     np.testing.assert_allclose(got["wall_size"], [[0.8, 0.6]])
     stored = Scenes(made("confocal", origin)).read(1)
     np.testing.assert_array_equal(meas.sum(axis=2), stored.arrays["histogram"].sum(axis=(1, 2)).reshape(4, 5))
-    points, frame = got["grid_points"].transpose(0, 1, 2), measurement(stored).frame
+    points, frame = got["grid_points"].transpose(0, 1, 2), recording_of(stored).frame
     assert (points[0, :, 1] > points[-1, :, 1]).all() and (points[:, 0, 0] < points[:, -1, 0]).all()
     point = frame.to_wall(hidden_point(config_of("confocal", origin), 1))
     way = 2 * np.linalg.norm(points - point, axis=-1)
@@ -129,7 +129,7 @@ def test_lists_of_pairs_count_from_the_wall(scan: str, origin: str, made: Any, t
         assert got[name].shape == (rows, 3)
     assert (got["camera_normals"] == [0, 0, 1]).all()
     np.testing.assert_allclose(got["trans_data"].sum(axis=1), 7e-9, rtol=1e-5)
-    point = measurement(Scenes(made(scan, origin)).read(0)).frame.to_wall(hidden_point(config, 0))
+    point = recording_of(Scenes(made(scan, origin)).read(0)).frame.to_wall(hidden_point(config, 0))
     way = sum(np.linalg.norm(got[name] - point, axis=1) for name in ("laser_points", "camera_points"))
     found = got["trans_data"].argmax(axis=1)
     assert (abs(found - way / LIGHT / float(got["bin_resolution"][0, 0])) <= 1.51).all()

@@ -20,7 +20,7 @@ from datagen.config.imported import ImportOptions
 from datagen.formats import export
 from datagen.formats.containers import matlab_content
 from datagen.formats.matlab import read_mat
-from datagen.formats.measurement import Measurement, measurement
+from datagen.formats.recording import Recording, recording_of
 from datagen.formats.tal import read_tal
 from datagen.store import read_manifest, verify
 from datagen.store.info import info
@@ -38,12 +38,12 @@ def brought_back(dataset: Path, folder: Path, format: str, scenes: str = "1", **
     return folder / "back.zarr"
 
 
-def check_geometry(back: SceneContent, m: Measurement) -> None:
+def check_geometry(back: SceneContent, m: Recording) -> None:
     """Compare positions up to the float32 of the format, in the frame of the wall."""
     seen, lit = back.arrays["sensor_pixels"], back.arrays["laser_points"]
     np.testing.assert_allclose(lit, m.laser_points, atol=1e-6)
     np.testing.assert_allclose(seen, np.repeat(m.seen_points[:, None], 4, axis=1), atol=1e-6)
-    again = measurement(back)
+    again = recording_of(back).on_wall()
     np.testing.assert_allclose(again.laser_points, m.laser_points, atol=1e-6)
     np.testing.assert_allclose(again.seen_points, m.seen_points, atol=1e-6)
     assert again.paired == m.paired
@@ -62,7 +62,7 @@ CASES = [(scan, origin) for scan in SCANS for origin in ("wall", "source") if sc
 def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made(scan, origin), tmp_path, "tal"))
     config = back.manifest.parsed_config()
-    m, got = measurement(Scenes(made(scan, origin)).read(1)).from_time_zero(), back.read(0)
+    m, got = recording_of(Scenes(made(scan, origin)).read(1)).on_wall().from_time_zero(), back.read(0)
     assert got.arrays["histogram"].dtype == np.uint16
     np.testing.assert_array_equal(got.arrays["histogram"], m.values)
     assert config.capture.time.axis() == got.time and got.time.origin == origin
@@ -77,7 +77,7 @@ def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_pat
 @pytest.mark.parametrize(("scan", "origin"), CASES)
 def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made(scan, origin), tmp_path, "mat"))
-    m, got = measurement(Scenes(made(scan, origin)).read(1)).from_time_zero(), back.read(0)
+    m, got = recording_of(Scenes(made(scan, origin)).read(1)).on_wall().from_time_zero(), back.read(0)
     values = got.arrays["histogram"]
     shape, bins = m.values.shape[:2], values.shape[-1]
     ways = np.zeros(shape)
@@ -100,7 +100,7 @@ def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, 
 @pytest.mark.parametrize("format", ["tal", "mat"])
 def test_light_comes_back_as_light(format: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made("confocal"), tmp_path, format, light="transient"))
-    m = measurement(Scenes(made("confocal")).read(1), "transient").from_time_zero()
+    m = recording_of(Scenes(made("confocal")).read(1), "transient").on_wall().from_time_zero()
     got = back.read(0).arrays
     assert "histogram" not in got
     np.testing.assert_array_equal(got["transient"], m.values)

@@ -13,7 +13,7 @@ import trimesh
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.formats import export
-from datagen.formats.measurement import Measurement, measurement
+from datagen.formats.recording import Recording, recording_of
 from datagen.labels.frame import ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.pipeline import simulate_sample
@@ -80,7 +80,7 @@ def test_the_box_before_a_curved_wall_is_found(
         assert (off_the_box(scan, *box_and_grid(config, content)) <= 1).all()
 
 
-def listed(m: Measurement, path: Path) -> tuple[Floats, Floats]:
+def listed(m: Recording, path: Path) -> tuple[Floats, Floats]:
     """(N, T) light that counts from the wall, and (N, 3) places in the scene's frame, of a list in a MATLAB file."""
     got = scipy.io.loadmat(path)
     return got["trans_data"].astype(np.float64), m.frame.origin + got["camera_points"] @ m.frame.axes
@@ -92,7 +92,7 @@ def test_the_box_is_found_from_an_exported_file(
     """A grid on a curved wall becomes a list of points, because the format of grids knows flat walls."""
     config, root = box_before_a_curved_wall
     content = Scenes(root).read(1)
-    light, places = listed(measurement(content), export(root, tmp_path, "mat", "1", "transient")[0])
+    light, places = listed(recording_of(content), export(root, tmp_path, "mat", "1", "transient")[0])
     low, high, grid = box_and_grid(config, content)
     points = ViewFrame.about(Rectangle(*content.arrays["hidden_view"])).to_view(places)
     every, bin_m = np.arange(len(points)), float(path_from_time(32e-12))
@@ -109,7 +109,7 @@ def test_exported_points_and_normals_come_back(
     _, root = box_before_a_curved_wall
     files = export(root, tmp_path, form, "0")
     dg.import_captures(files, tmp_path / "back", progress=False)
-    due, got = measurement(Scenes(root).read(0)), Scenes(tmp_path / "back").read(0).arrays
+    due, got = recording_of(Scenes(root).read(0)).on_wall(), Scenes(tmp_path / "back").read(0).arrays
     for name in ("laser", "sensor"):
         wanted = due.laser_points, due.laser_normals
         if name == "sensor":

@@ -129,11 +129,9 @@ def test_a_stored_configuration_of_either_place_is_read_again(place: str) -> Non
     [
         ({"screen_offset_m": 0.2}, {}, "screen_offset_m with place = 'in_front': has no meaning there"),
         ({"place": "beside", "beside_m": 1.0}, {}, "beside_m with place = 'beside'"),
-        ({"relay_distance_m": 3.0}, {}, "objects stand farther from the wall than the device"),
-        ({"device_height_m": 9.0}, {}, "the device stands above it; lower the first or raise height_m"),
         ({"place": "behind"}, {}, "scene.layout.place = 'behind': input should be 'beside' or 'in_front'"),
-        ({}, {"distance_m": 1.0, "along": 0.3}, "along and distance_m: both say where the object stands"),
-        ({}, {"offset_m": 1.0, "across": 0.3}, "across and offset_m: both say where the object stands"),
+        ({}, {"distance_m": 1.0, "along": 0.3}, "along and distance_m are both given"),
+        ({}, {"offset_m": 1.0, "across": 0.3}, "across and offset_m are both given"),
         ({}, {"distance_m": 0.0}, "contents[0].distance_m: 0 given; must be > 0"),
     ],
 )
@@ -142,6 +140,21 @@ def test_what_is_wrong_is_said_in_one_line(layout: dict[str, Any], item: dict[st
         bench([{"kind": "box", **item}], **layout)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("layout", "says"),
+    [
+        (
+            {"relay_distance_m": 3.0},
+            r"raise space_depth_m \(1.8 … 2.4\) or lower relay_distance_m",
+        ),
+        ({"device_height_m": 9.0}, r"the device is above the ceiling: lower device_height_m \(9\) or raise height_m"),
+    ],
+)
+def test_dimensions_that_contradict_each_other_are_refused(layout: dict[str, Any], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        generate_scene(bench([{"kind": "box"}], **layout).scene, 1, 0)
 
 
 def test_objects_nearer_than_the_device_are_refused_by_name() -> None:

@@ -9,27 +9,29 @@ import logging
 import time
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from datagen.building.engines import started
-from datagen.building.shard_job import ShardJob
+from datagen.building.shard_job import Recipe
 from datagen.config import load_config
 from datagen.pipeline import simulate_sample
-from datagen.store import schema_of
+from datagen.store import prepare
 from datagen.store.environment import made_with
 
 JOBS, RESERVE = 2000, 200
 """Number of jobs, and of jobs under way at once (those of a hundred workers)."""
 
 
-def nothing(job: ShardJob) -> dict[int, str]:
+def nothing(recipe: Recipe, shard: int, submitted: float) -> dict[int, str]:
     """The result of a shard without failures, at once."""
     return {}
 
 
 def main() -> None:
     config = load_config("configs/quickstart.yaml")
-    schema, made = schema_of(config), made_with()
+    with TemporaryDirectory() as folder:
+        recipe = Recipe(Path(folder), config, prepare(Path(folder), config), simulate_sample, made_with())
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     with started("dask", 2, None) as engine:
         for jobs in (RESERVE, JOBS):
@@ -38,8 +40,7 @@ def main() -> None:
             while left or running:
                 while left and len(running) < RESERVE:
                     left -= 1
-                    job = ShardJob(Path(), config, schema, "", left, simulate_sample, 0.0, made_with=made)
-                    running.add(engine.submit(nothing, job))
+                    running.add(engine.submit(nothing, recipe, left, 0.0))
                 _, running = wait(running, return_when=FIRST_COMPLETED)
             seconds, spent = time.perf_counter() - begun, time.process_time() - spent
         print(f"{jobs / seconds:.0f} jobs a second, {1e3 * spent / jobs:.1f} ms of one core for each")

@@ -211,14 +211,14 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.1)
     root, config = tmp_path / "set", small_config()
     manifest = prepare(root, config)
-    job = shard_job.ShardJob(root, config, manifest.schema, manifest.fingerprint, 0, fake_sample, time.time())
+    job = shard_job.Recipe(root, config, manifest, fake_sample), 0, time.time()
     with running_path(root, 0).open("w") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(CheckError, match="another build is writing this shard"):
-            shard_job.run_shard(job)
-    assert shard_job.run_shard(job) == {}
+            shard_job.run_shard(*job)
+    assert shard_job.run_shard(*job) == {}
     made = (root / "build/shard-000000.json").read_bytes()
-    assert shard_job.run_shard(job) == {}
+    assert shard_job.run_shard(*job) == {}
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 

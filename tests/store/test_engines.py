@@ -21,7 +21,7 @@ from interrupts import LATEST_S, interruptions
 
 from datagen.building import engines
 from datagen.building.build import build
-from datagen.building.shard_job import ShardJob
+from datagen.building.shard_job import Recipe
 from datagen.store import running_path
 
 
@@ -30,8 +30,8 @@ def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path)
 
     class Interrupted(HereAndNow):
         def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-            job: ShardJob = arguments[0]
-            running_path(job.root, job.shard).write_text("0")
+            recipe: Recipe = arguments[0]
+            running_path(recipe.root, 0).write_text("0")
             raise KeyboardInterrupt
 
     with jobs_go_to(Interrupted()), pytest.raises(KeyboardInterrupt):

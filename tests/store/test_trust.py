@@ -84,6 +84,14 @@ def test_what_verify_reports_is_repaired_by_the_next_build(pristine: Path, datas
         assert (dataset / name).read_bytes() == (pristine / name).read_bytes(), name
 
 
+def test_damage_is_repaired_in_the_shards_that_are_asked_for(dataset: Path) -> None:
+    """The files of other shards are not read: a job of an array need not hash what hundreds of others have made."""
+    record = committed(dataset, read_manifest(dataset), [1])[0]
+    flip(dataset / next(iter(record.files)), 0)
+    assert again(dataset, shards="0").built == 0 and verify(dataset, deep=True).problems
+    assert again(dataset, shards="0-1").built == 1 and not verify(dataset, deep=True).problems
+
+
 @pytest.mark.parametrize("description", ["one\r\ntwo", "é\u2028\x1b[2J", "\r"])
 def test_a_description_of_any_text_verifies(tmp_path: Path, description: str) -> None:
     root = tmp_path / "set"
@@ -186,10 +194,10 @@ def test_half_written_files_of_killed_builds_are_removed(dataset: Path) -> None:
 
 
 def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from datagen.building import jobs
+    from datagen.building import build
     from datagen.store.environment import made_with
 
-    monkeypatch.setattr(jobs, "made_with", lambda: made_with() | {"numba": "0.1"})
+    monkeypatch.setattr(build, "made_with", lambda: made_with() | {"numba": "0.1"})
     with pytest.raises(CheckError, match=r"a worker differs in numba 0\.1 and .*--accept-mixed"):
         again(tmp_path / "set")
     assert not list(tmp_path.glob("set/build/*.json"))
