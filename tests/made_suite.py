@@ -21,7 +21,7 @@ def made_suite(path: Path, scenes: int = 10) -> Path:
         "name": "made", "scenes": scenes, "seed": 5,
         "scene": {"layout": {"kind": "isolated_wall", **place}, "contents": [box]},
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 300}},
-        "transport": {"lookins": 256, "fov_samples": 1, "replicates": 2},
+        "transport": {"samples": 256},
         "detector": {"cycles": 100000, "photons_per_pulse": 1e8},
         "labels": {"rows": ROWS, "columns": COLUMNS, "voxels": list(VOXELS)},
         "store": {"fields": ["histogram", "depth", "part_id", "occupancy", "objects"]},

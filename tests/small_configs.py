@@ -33,7 +33,7 @@ def reduced(config: DatasetConfig) -> DatasetConfig:
         uneven["max_triangles"] = min(uneven["max_triangles"], 1500)
     if values["detector"]["array_columns"] is not None:
         values["detector"]["array_columns"] = values["capture"]["field_of_view"]["columns"]
-    coarse = {"lookins": 32, "fov_samples": 1, "replicates": 2}
+    coarse = {"samples": 32}
     values["transport"] |= coarse if values["transport"]["target"] is None else {"target": 0.3}
     values["labels"] |= {"rows": 16, "columns": 16, "voxels": [8, 8, 8]}
     values["scenes"] = 1

@@ -10,7 +10,8 @@ import pytest
 from datasets import write_dataset
 
 from datagen.bench import stages
-from datagen.bench.accuracy import Row, Truth, advice, fewer_laser_points, noise_and_bias, picture, table, with_front
+from datagen.bench.accuracy import Row, fewer_laser_points, picture
+from datagen.bench.plain_check import RUNS, Checked, PlainPaths
 from datagen.capture import capture_for
 from datagen.cli import run
 from datagen.config import load_config
@@ -20,7 +21,7 @@ CONFIG = """
 name: tiny
 scenes: 8
 capture: {pairing: confocal, scan: {rows: 3, columns: 3}, time: {bins: 108, bin_width_ps: 800}}
-transport: {lookins: 256, fov_samples: 1}
+transport: {samples: 64}
 detector: {photons_per_pulse: 1000.0}
 labels: {rows: 8, columns: 8}
 """
@@ -48,20 +49,34 @@ def printed_by(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--seconds", "1", "--repeats", "2", "--laser-points", "2", "--scene", "1"]
+    options = ["--seconds", "2", "--repeats", "1", "--laser-points", "2", "--scene", "1"]
     printed = printed_by(["accuracy", config, str(tmp_path / "out"), *options], capsys)
-    lookins = [row for row in rows_of(printed, "swept") if row[0] == "lookins"]
-    # How many rows a second leaves time for is the machine's affair.
-    assert len(lookins) == 1 or float(lookins[-1][3].split()[0]) < float(lookins[0][3].split()[0])
-    assert "What to choose" in printed and "2 of its 9 laser points" in printed
+    # How many rows the seconds leave time for is the machine's affair.
+    assert rows_of(printed, "asked")[0][:2] == ["target", "0.2"]
+    assert "max_bounces: 3 leaves out" in printed and "2 of its 9 laser points" in printed
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 
 
 def test_accuracy_draws_what_the_time_left_room_for(tmp_path: Path) -> None:
-    """No run of all bounces, or no run with an error at all: a slow machine has few, in a second."""
-    row = Row("lookins", "1", "", 1, 0.1, 0.1, 0.1, 0.0, complete=False)
+    row = Row("target", "0.1", 0.1, 0.1, Checked(0.0, 1.0))
     for rows in ([], [row]):
         assert picture(rows, "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_noise_of_the_plain_paths_is_taken_out() -> None:
+    """Light that is right, and light that lacks a tenth, against Gaussian runs of paths: errors without bias, and
+    their noise as large as it says."""
+    rng, truth = np.random.default_rng(1), np.linspace(1.0, 2.0, 50)[None]
+    for share, error in ((1.0, 0.0), (0.9, 0.1)):
+        found = [
+            PlainPaths({"primary": truth + 0.5 * rng.normal(size=(RUNS, 1, 50))}, np.arange(1)).check(
+                share * truth[None], "primary"
+            )
+            for _ in range(300)
+        ]
+        squares = np.array([one.square for one in found])
+        assert abs(squares.mean() - error**2) < 4 * squares.std() / np.sqrt(300) + 0.02 * error**2
+        assert np.mean([one.noise for one in found]) == pytest.approx(squares.std(), rel=0.4)
 
 
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,47 +92,6 @@ def test_a_million_scenes(config: str, capsys: pytest.CaptureFixture[str]) -> No
     assert "2x2x54, tiny" in printed and "mean of 8" in printed
     line = stages.a_million(load_config(config), [1.0, 2.0])
     assert "1.5 processor s" in line and "1.1 days on 16 cores" in line, "10⁶ × 1.5 s / 16 / 86 400 s"
-
-
-def test_the_truth_s_own_error_is_subtracted_and_noise_told_from_bias() -> None:
-    """Halves with 20 % noise each, a run with 30 %: the error is 30 %. Runs with 5 % noise that lack 30 % of all."""
-    rng = np.random.default_rng(2)
-    exact = np.exp(-np.linspace(0, 3, 4000))
-
-    def noisy(noise: float) -> np.ndarray:
-        return exact + noise * np.linalg.norm(exact) / math.sqrt(exact.size) * rng.standard_normal(exact.shape)
-
-    truth = Truth.of(noisy(0.2), noisy(0.2))
-    assert truth.relative_error == pytest.approx(0.2 / math.sqrt(2), rel=0.05)
-    assert truth.error_of(noisy(0.3)) == pytest.approx(0.3, rel=0.05)
-    close = Truth.of(noisy(0.01), noisy(0.01))
-    for level, lacking in ((0.7, 0.3), (1.0, 0.0)):
-        noise, bias = noise_and_bias(level * np.array([noisy(0.05) for _ in range(3)]), close)
-        assert noise == pytest.approx(0.05, rel=0.05) and bias == pytest.approx(lacking, rel=0.02)
-
-
-def test_the_front_and_the_advice_follow_from_the_rows() -> None:
-    def row(quantity: str, value: str, seconds: float, error: float, configured: str, bias: float = 0.0) -> Row:
-        return Row(quantity, value, configured, 3, seconds, error, 0.01, bias, quantity == "bounce orders")
-
-    rows = with_front(
-        [
-            row("lookins", "100", 0.1, 0.2, "lookins: 100, max_bounces: 4"),
-            row("lookins", "400", 0.4, 0.09, "lookins: 400, max_bounces: 4"),
-            row("lookins", "1600", 1.6, 0.045, "lookins: 1600, max_bounces: 4"),
-            row("FoV points", "16", 0.5, 0.1, "fov_samples: 16, max_bounces: 4"),
-            row("target", "0.05", 1.0, 0.04, "target: 0.05, max_bounces: 4"),
-            row("bounce orders", "≤ 3", 0.05, 0.31, "max_bounces: 3", bias=0.3),
-            row("bounce orders", "all", 0.3, 0.1, "max_bounces: null"),
-        ]
-    )
-    assert [row.value for row in rows if row.front] == ["100", "400", "0.05", "≤ 3", "all"]
-    assert table(rows).count("●") == 5
-    text = "\n".join(advice(rows))
-    assert "10 %: `lookins: 400, max_bounces: 4`" in text and "5 %: `lookins: 1600, max_bounces: 4`" in text
-    assert "`target: 0.05, max_bounces: 4`, 1 s" in text and "≤ 3 bounces 30 %" in text
-    # Halving the error took four times the lookins, so 2 % takes (4.5/2)² times as many.
-    assert "2 %: no fixed setting of these; by the trend about 8.1e+03 lookins, 8.1 s" in text
 
 
 def test_fewer_laser_points_keep_their_pixels() -> None:

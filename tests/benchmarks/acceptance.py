@@ -18,15 +18,16 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
+from benchmarks.foreign_scenes import foreign_scene
 
 import datagen as dg
 from datagen.bench.measuring import machine, markdown, percent
 from datagen.bench.plain_check import RUNS, PlainPaths
 from datagen.transport.flood import as_scan
 from datagen.transport.reference import pairs_of
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 READY = (
@@ -48,11 +49,9 @@ def ready(scenes: int, first: int) -> Iterator[tuple[str, dg.Scene, dg.Capture]]
 
 def foreign(scenes: int, first: int) -> Iterator[tuple[str, dg.Scene, dg.Capture]]:
     """Random rooms with meshes of others, random materials and captures."""
-    from benchmarks.foreign_rooms import foreign_room
-
-    for seed in range(first, first + scenes):
-        scene, capture = foreign_room(seed)[:2]
-        yield f"foreign {seed}", scene, capture
+    for number in range(first, first + scenes):
+        found = foreign_scene(number)
+        yield f"foreign {number}", found.scene, found.capture
 
 
 def row(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accuracy, paths: float) -> list[str]:

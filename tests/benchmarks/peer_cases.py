@@ -82,13 +82,13 @@ def to_target(scene: Scene, capture: Capture, bounces: int, objects: bool = Fals
     return lambda one_in, seed: ours(scene, capture, Accuracy(target=1 / one_in, max_bounces=bounces), seed, objects)
 
 
-def by_walk(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Floats]:
-    """A function (n, seed) that runs ours by path tracing with n hidden vertices."""
-    return lambda lookins, seed: ours(scene, capture, Accuracy(lookins, 1, bounces, replicates=1), seed)
+def by_paths(scene: Scene, capture: Capture, bounces: int) -> Callable[[int, int], Floats]:
+    """A function (n, seed) that runs ours with n plain paths of each pair."""
+    return lambda samples, seed: ours(scene, capture, Accuracy(samples=samples, max_bounces=bounces), seed)
 
 
 COUNTS = (10, 50, 200), (), (1 << 12, 1 << 14, 1 << 16)
-"""Reciprocal errors for ours, hidden vertices of our path tracing, and paths of mitransient."""
+"""Reciprocal errors for ours, our plain paths of each pair, and paths of mitransient."""
 
 
 def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
@@ -106,8 +106,8 @@ def bare_plate(points_a_side: int = 16, reference_knots: int = 1200) -> Case:
     capture = others.point_capture(scan, points, device, points, axis, confocal=True)
     truth = quadrature(reference_knots, 0)
     contenders = [
-        Contender("ours, cells", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, takes_error=True),
-        Contender("ours, walk", "lookins a point", by_walk(scene, capture, 3), (1 << 11, 1 << 13, 1 << 15), truth),
+        Contender("ours, to a target", "", to_target(scene, capture, 3), (10, 50, 100, 200), truth, takes_error=True),
+        Contender("ours, paths", "paths a pair", by_paths(scene, capture, 3), (1 << 8, 1 << 10, 1 << 12), truth),
         Contender("plain quadrature (numba)", "knots a side", quadrature, (32, 64, 128, 192), truth),
     ]
     if missing_for_mitransient() is None:
@@ -133,11 +133,11 @@ def in_room(
     points = grid_points(WALL, *sides)
     lit = points if lasers is None else lasers
     capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
-    cells, walk = to_target(scene, capture, bounces, objects), by_walk(scene, capture, bounces)
+    cells, plain = to_target(scene, capture, bounces, objects), by_paths(scene, capture, bounces)
     truth = cells(reference, 1000)
-    contenders = [Contender("ours, cells", "", cells, errors, truth, takes_error=True)]
+    contenders = [Contender("ours, to a target", "", cells, errors, truth, takes_error=True)]
     if walks:
-        contenders.append(Contender("ours, walk", "lookins a laser point", walk, walks, truth))
+        contenders.append(Contender("ours, paths", "paths a pair", plain, walks, truth))
     if missing_for_mitransient() is None:
         each = [None] if lasers is None else list(lasers)
         peers = [MitransientPeer(scene, "relay_wall", WALL, DEVICE, at, *sides, axis, bounces=bounces) for at in each]

@@ -80,7 +80,7 @@ def room_channel(config: DatasetConfig) -> tuple[Array, TimeAxis, float]:
     """
     scene = scene_for(config, 0)
     capture = capture_for(config, scene, config.seed, 0)
-    accuracy = Accuracy(min(config.transport.lookins, 1 << 14), max_bounces=4, direct=True)
+    accuracy = Accuracy(target=0.02, max_bounces=4, direct=True)
     seed = derived_seed(config.seed, 0, Purpose.TRANSPORT)
     transient = simulate(scene, capture, accuracy, seed=seed, split_parts=False)
     direct = transient.components["direct"]

@@ -47,11 +47,11 @@ def prepared(
     return lambda: simulate(scene, capture, wanted, seed=1, split_parts=False)
 
 
-FIXED: dict[str, Any] = {"lookins": 2048, "fov_samples": 4, "replicates": 2}
+FIXED: dict[str, Any] = {"samples": 512}
 TO_TARGET: dict[str, Any] = {"lasers": 16, "cut": 0, "confocal": True, "target": 0.02, "max_bounces": 3}
 SWEEPS: dict[str, list[tuple[int, dict[str, Any]]]] = {
-    "lookins": [(n, FIXED | {"lookins": n}) for n in (256, 1024, 4096, 16384)],
-    "bounces after the second": [(n - 2, FIXED | {"max_bounces": n, "lookins": 4096}) for n in (3, 4, 6, 10, 18)],
+    "samples": [(n, FIXED | {"samples": n}) for n in (256, 1024, 4096, 16384)],
+    "bounces after the second": [(n - 2, FIXED | {"max_bounces": n}) for n in (3, 4, 6, 10, 18)],
     "laser points": [(n * n, FIXED | {"lasers": n}) for n in (1, 2, 4, 8)],
     "pixels": [(n * n, FIXED | {"pixels": n}) for n in (1, 2, 4, 8, 16)],
     "bins": [(n, FIXED | {"bins": n}) for n in (64, 512, 4096, 16384, 65536)],
@@ -61,10 +61,10 @@ SWEEPS: dict[str, list[tuple[int, dict[str, Any]]]] = {
     "triangles, to 2 %": [(36 * 4**n, TO_TARGET | {"cut": n}) for n in (0, 1, 2, 3, 4)],
 }
 """What grows → its sizes from small to large, each with the problem."""
-# Few lookins: peak memory does not grow with them, which are taken in chunks; time does.
+# Few samples: peak memory does not grow with them, which are taken in chunks; time does.
 LARGE_SCANS = {
-    "64 × 64 laser points, 1 pixel, 1024 bins": FIXED | {"lookins": 256, "lasers": 64, "pixels": 1, "bins": 1024},
-    "16 × 16 laser points, 16 × 16 pixels, 512 bins": FIXED | {"lookins": 256, "lasers": 16, "pixels": 16},
+    "64 × 64 laser points, 1 pixel, 1024 bins": FIXED | {"samples": 64, "lasers": 64, "pixels": 1, "bins": 1024},
+    "16 × 16 laser points, 16 × 16 pixels, 512 bins": FIXED | {"samples": 64, "lasers": 16, "pixels": 16},
 }
 
 

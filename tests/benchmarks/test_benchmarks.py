@@ -63,10 +63,10 @@ def test_detector(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_scaling(monkeypatch: pytest.MonkeyPatch) -> None:
-    tiny = [(n, {"lookins": n, "fov_samples": 1, "bins": 16, "lasers": 1}) for n in (16, 32, 64)]
-    monkeypatch.setattr(scaling, "SWEEPS", {"lookins": tiny})
-    name, seconds, exponent = scaling.swept("lookins")
-    assert name == "lookins" and seconds.count(";") == 2 and np.isfinite(float(exponent))
+    tiny = [(n, {"samples": n, "bins": 16, "lasers": 1}) for n in (16, 32, 64)]
+    monkeypatch.setattr(scaling, "SWEEPS", {"samples": tiny})
+    name, seconds, exponent = scaling.swept("samples")
+    assert name == "samples" and seconds.count(";") == 2 and np.isfinite(float(exponent))
 
 
 def test_evidence_is_that_of_the_samples() -> None:

@@ -49,7 +49,7 @@ def captured(cells: int, bins: int = 40, **sensor: object) -> Capture:
 def test_a_beam_with_footprints_equals_the_definition(bounces: int) -> None:
     """χ² of all bins against plain samples, at a level of 10⁻⁶; the bins of all pixels count together."""
     capture, room = captured(3, footprints=footprints(4)), scene()
-    accuracy = dg.Accuracy(lookins=1024, fov_samples=8, replicates=8, max_bounces=bounces, direct=True)
+    accuracy = dg.Accuracy(samples=1024, max_bounces=bounces, direct=True)
     ours = dg.simulate(room, capture, accuracy, seed=1)
     plain = reference(room, capture, samples=1024, replicates=16, max_bounces=bounces, direct=True, seed=2)
     assert set(ours.components) <= set(plain.components)
@@ -80,7 +80,7 @@ def test_light_of_one_bounce_has_its_closed_form() -> None:
 def test_crosstalk_and_glass_add_to_what_the_pixels_see() -> None:
     room, plain = scene(), captured(4, footprints=footprints(4))
     mixed = captured(4, footprints=footprints(4), crosstalk=0.02, glass=np.arange(4.0))
-    accuracy = dg.Accuracy(lookins=64, replicates=1, max_bounces=3, direct=True)
+    accuracy = dg.Accuracy(samples=64, max_bounces=3, direct=True)
     alone, together = dg.simulate(room, plain, accuracy), dg.simulate(room, mixed, accuracy)
     expected = alone.total + 0.02 * (alone.total.sum(axis=1, keepdims=True) - alone.total)
     expected[0, :, 0] += np.arange(4)

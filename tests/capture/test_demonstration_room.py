@@ -23,7 +23,7 @@ def room() -> tuple[Scene, Capture, Transient]:
     config = load_config(CONFIG)
     scene = dg.generate_scene(config.scene, config.seed, 0)
     capture = dg.capture_for(config, scene)
-    accuracy = replace(config.transport.accuracy(), lookins=1 << 17, max_bounces=4)
+    accuracy = replace(config.transport.accuracy(), max_bounces=4)
     return scene, capture, dg.simulate(scene, capture, accuracy, seed=7)
 
 

@@ -73,7 +73,7 @@ def test_one_place_for_each_device() -> None:
 def test_a_listed_point_may_be_on_another_surface_but_not_behind_one() -> None:
     scene = furnished()
     capture = dg.capture_for(configured({"kind": "points", "points_m": [[4, 0, 0], [0, 0]]}), scene)
-    transient = dg.simulate(scene, capture, dg.Accuracy(lookins=16))
+    transient = dg.simulate(scene, capture, dg.Accuracy(samples=16))
     np.testing.assert_allclose(transient.laser_points[0], [4, 0, 0], atol=1e-9)
     for behind in ([4, 0, -0.5], [5.0, 2.5, 1.2]):
         with pytest.raises(InputError, match=r"capture\.scan\.points_m: .* hides 1 of 1 laser points"):

@@ -54,7 +54,7 @@ def test_first_return_converges_at_second_order_to_its_integral(scene: Scene) ->
     errors = []
     for points in (4, 8, 16):
         capture = captured(points, scene)
-        found = dg.simulate(scene, capture, dg.Accuracy(lookins=1, replicates=1, direct=True)).components["direct"]
+        found = dg.simulate(scene, capture, dg.Accuracy(samples=1, direct=True)).components["direct"]
         truth = np.array([direct_of(zone, capture) for zone in capture.sensor.pixels])
         errors.append(np.abs(found.sum(axis=-1)[0] / truth - 1).max())
     assert errors[2] < 2e-4
@@ -64,7 +64,7 @@ def test_first_return_converges_at_second_order_to_its_integral(scene: Scene) ->
 
 def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
     capture = captured(4, scene)
-    accuracy = dg.Accuracy(lookins=32, fov_samples=2, direct=True, replicates=4, max_bounces=4)
+    accuracy = dg.Accuracy(samples=32, max_bounces=4, direct=True)
     once = dg.simulate(scene, capture, accuracy, seed=3)
     points = dg.simulate(scene, replace(capture, illumination="scan"), accuracy, seed=3)
     assert once.total.shape == capture.shape == (1, 16, 256)
@@ -78,7 +78,7 @@ def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
 def test_standard_error_is_the_spread_of_repetitions(scene: Scene) -> None:
     """Over 24 seeds, the root mean square spread of all bins is the stated one, to a fifth."""
     capture = captured(4, scene)
-    made = [dg.simulate(scene, capture, dg.Accuracy(lookins=16, fov_samples=4), seed=k) for k in range(24)]
+    made = [dg.simulate(scene, capture, dg.Accuracy(samples=16), seed=k) for k in range(24)]
     spread = np.stack([t.total for t in made]).var(axis=0, ddof=1).sum()
     stated = np.mean([(t.stderr**2).sum() for t in made])
     assert 0.8 < np.sqrt(spread / stated) < 1.2

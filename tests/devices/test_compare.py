@@ -189,7 +189,7 @@ def test_the_command_writes_numbers_picture_and_device(
 def test_two_datasets_are_compared(tmp_path: Path) -> None:
     """The same scenes with other noise differ by the noise, and the scale is 1."""
     config = config_from_mapping({
-        "name": "pair", "scenes": 3, "transport": {"lookins": 4, "replicates": 1},
+        "name": "pair", "scenes": 3, "transport": {"samples": 4},
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 400}},
         "detector": {"cycles": 10**6}, "store": {"fields": ["histogram"]},
     })  # fmt: skip

@@ -26,7 +26,7 @@ from datagen.store.scenes import Scenes
 from datagen.store.schema import schema_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-FEW = {"transport": {"lookins": 8, "fov_samples": 1, "max_bounces": 3}}
+FEW = {"transport": {"samples": 8, "max_bounces": 3}}
 """Few paths: only light of more than one bounce depends on them."""
 
 
@@ -272,7 +272,7 @@ def test_evidence_is_that_of_the_merged_histogram(merged: Path) -> None:
     config = configured(capture={"at_objects": {"distance_m": 0.8}})
     scene, index = dg.scene_for(config, 0), 0
     capture = dg.capture_for(config, scene, index=index)
-    light = dg.simulate(scene, capture, dg.Accuracy(lookins=8, fov_samples=1, max_bounces=3, direct=True))
+    light = dg.simulate(scene, capture, dg.Accuracy(samples=8, max_bounces=3, direct=True))
     _, spad, exposure = dg.device("tmf8820").at((0, 0, 0), (1, 0, 0))
     found = [
         dg.own_evidence(light, dg.Spad(**(vars(spad) | {"bins_merged": merge})), exposure, scene.objects)
@@ -296,7 +296,7 @@ def test_without_merged_bins_histograms_and_transients_share_an_axis() -> None:
 def test_every_device_builds_a_scene_of_the_ready_configuration(name: str) -> None:
     values = yaml.safe_load((CONFIGS / "any_device.yaml").read_text())
     values["capture"]["device"] = name
-    values["transport"] |= {"lookins": 1, "max_bounces": 3}
+    values["transport"] |= {"samples": 1, "max_bounces": 3}
     if dg.device(name).light.kind == "scan":
         del values["capture"]["at_objects"]
     config = config_from_mapping(values)

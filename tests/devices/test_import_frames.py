@@ -61,7 +61,7 @@ def test_one_loader_takes_real_and_simulated_frames(tmp_path: Path) -> None:
     dg.import_captures(large, tmp_path / "real", device="tmf8820", progress=False)
     config = config_from_mapping({
         "name": "simulated", "scenes": 2, "capture": {"device": "tmf8820", "at_objects": {"distance_m": 0.6}},
-        "transport": {"lookins": 4, "replicates": 1, "max_bounces": 3},
+        "transport": {"samples": 4, "max_bounces": 3},
         "store": {"fields": ["histogram"], "histogram_dtype": "uint32"},
     })  # fmt: skip
     dg.build(config, tmp_path / "simulated", progress=False)

@@ -79,12 +79,12 @@ def test_parts_share_the_direct_light(bounces: int) -> None:
     bare = dg.Sensor(capture.sensor.position, capture.sensor.pixels, capture.sensor.aperture_radius_m, False,
                      capture.sensor.footprints, capture.sensor.crosstalk, None, capture.sensor.delays_s)  # fmt: skip
     capture = dg.Capture(capture.laser, bare, capture.time, "exhaustive", "flood")
-    accuracy = dg.Accuracy(lookins=16, fov_samples=1, max_bounces=bounces, direct=True, replicates=2)
+    accuracy = dg.Accuracy(samples=16, max_bounces=bounces, direct=True)
     scene = room(box_m=0.3)
     light = dg.simulate(scene, capture, accuracy, seed=1)
     if bounces == 1:
         np.testing.assert_allclose(sum(light.parts.values()), light.total, rtol=1e-12, atol=1e-25)
-    dark = dg.simulate(scene, capture, dg.Accuracy(lookins=16, fov_samples=1, max_bounces=3, replicates=2), seed=1)
+    dark = dg.simulate(scene, capture, dg.Accuracy(samples=16, max_bounces=3), seed=1)
     for k, name in enumerate(scene.part_names):
         black = [m if j == k else dg.Lambertian(0.0) for j, m in enumerate(scene.materials)]
         alone = dg.Scene(**{**vars(scene), "materials": tuple(black)})

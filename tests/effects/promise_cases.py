@@ -9,10 +9,10 @@ import numpy as np
 from datagen.config import DatasetConfig, config_from_mapping
 from scene_library.layouts import LAYOUTS
 
-LOOKINS = 2048
+SAMPLES = 256
 
 
-def random_case(index: int, seed: int = 0, lookins: int = LOOKINS) -> DatasetConfig:
+def random_case(index: int, seed: int = 0, samples: int = SAMPLES) -> DatasetConfig:
     """Case `index`: a configuration of one scene, each part of it drawn from a range that spans what matters and what
     does not: bright and black walls, lobes and nearly none, clear air and fog, windows long and short, photons from
     hardly any to pile-up. The same index and seed give the same case."""
@@ -26,8 +26,7 @@ def random_case(index: int, seed: int = 0, lookins: int = LOOKINS) -> DatasetCon
             "scene": _scene(rng),
             "capture": capture,
             "transport": {
-                "lookins": lookins,
-                "fov_samples": 2,
+                "samples": samples,
                 "max_bounces": _one_of(rng, [3, 4, 5, 6, None]),
                 "direct": bool(rng.random() < 0.5),
             },
@@ -36,7 +35,7 @@ def random_case(index: int, seed: int = 0, lookins: int = LOOKINS) -> DatasetCon
     )
 
 
-def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
+def nearly_everything_skipped(samples: int = SAMPLES) -> DatasetConfig:
     """A bright object before black walls, in clear enough air, seen by a slow detector in hardly any light."""
     dark: dict[str, Any] = {"albedo": 1e-5, "brdf": {"kind": "oren_nayar", "sigma_deg": 0.2}}
     return config_from_mapping(
@@ -53,7 +52,7 @@ def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
                 "time": {"bins": 32, "bin_width_ps": 4000, "start_ns": 8.0},
             },
             "transport": {
-                "lookins": lookins, "fov_samples": 2, "max_bounces": None, "direct": True,
+                "samples": samples, "max_bounces": None, "direct": True,
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e6, "cycles": 10000, "dark_count_rate_hz": 1e-4,
@@ -63,7 +62,7 @@ def nearly_everything_skipped(lookins: int = LOOKINS) -> DatasetConfig:
     )  # fmt: skip
 
 
-def nearly_nothing_skipped(lookins: int = LOOKINS) -> DatasetConfig:
+def nearly_nothing_skipped(samples: int = SAMPLES) -> DatasetConfig:
     """A bright, glossy, foggy room whose confocal pixels see the laser spot, and a detector at its limits."""
     shiny: dict[str, Any] = {"albedo": 0.85, "brdf": {"kind": "phong", "exponent": 8, "specular": 0.5}}
     return config_from_mapping(
@@ -82,7 +81,7 @@ def nearly_nothing_skipped(lookins: int = LOOKINS) -> DatasetConfig:
                 "time": {"bins": 256, "bin_width_ps": 200},
             },
             "transport": {
-                "lookins": 2 * lookins, "fov_samples": 2, "max_bounces": None, "direct": True,
+                "samples": 2 * samples, "max_bounces": None, "direct": True,
             },
             "detector": {
                 "mode": "free_running", "photons_per_pulse": 1e7, "cycles": 10000, "dark_count_rate_hz": 1e4,

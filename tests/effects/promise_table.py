@@ -33,12 +33,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=40)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--lookins", type=int, default=2048)
+    parser.add_argument("--samples", type=int, default=256)
     arguments = parser.parse_args()
-    ends = [nearly_everything_skipped(arguments.lookins), nearly_nothing_skipped(arguments.lookins)]
+    ends = [nearly_everything_skipped(arguments.samples), nearly_nothing_skipped(arguments.samples)]
     tolerance = ends[0].effects.tolerance
     outcomes = [run_case(config) for config in ends]
-    outcomes += [run_case(random_case(index, arguments.seed, arguments.lookins)) for index in range(arguments.scenes)]
+    outcomes += [run_case(random_case(index, arguments.seed, arguments.samples)) for index in range(arguments.scenes)]
     largest = [max(getattr(of, f"{what}_error") for of in outcomes) for what in ("transient", "histogram")]
     print("largest difference of transients {:.2g}, of histograms {:.2g}\n".format(*largest))
     print(effects_table(outcomes[len(ends) :]))

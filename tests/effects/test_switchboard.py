@@ -37,7 +37,7 @@ def switched(**settings: object) -> EffectsConfig:
 def small(**sections: object) -> DatasetConfig:
     given: dict[str, Any] = {
         "capture": {"scan": {"kind": "grid", "rows": 3, "columns": 3}, "time": {"bins": 64, "bin_width_ps": 400}},
-        "transport": {"lookins": 256, "fov_samples": 1, "replicates": 1, "max_bounces": 5, "direct": True},
+        "transport": {"samples": 256, "max_bounces": 5, "direct": True},
         "detector": {"mode": "synchronous", "afterpulse_probability": 0.05, "photons_per_pulse": 1e6, "cycles": 1000},
         "store": {"fields": ["histogram", "transient"]},
     }
@@ -104,7 +104,7 @@ def test_detector_effects_off_are_not_there(effect: str) -> None:
 
 
 def test_forced_settings_need_no_trial_run() -> None:
-    scene, capture, accuracy = world_of(small(transport={"lookins": 65536, "max_bounces": None}))
+    scene, capture, accuracy = world_of(small(transport={"samples": 65536, "max_bounces": None}))
     kinds = [
         {d.kind for d in plan_effects(scene, capture, accuracy, settings=s).decisions} for s in (EVERYTHING, None)
     ]
@@ -165,29 +165,18 @@ def test_yaml_words_on_and_off_are_understood(tmp_path: Path) -> None:
     assert again.effects == effects
 
 
-def test_strongest_paths_are_configured_by_number() -> None:
-    scene, capture, accuracy = world_of(small(transport={"lookins": 64, "max_bounces": 4, "observed": 32}))
-    for setting, wanted in ((3, 3), ("strongest", "strongest")):
-        decided = decide_transport_effects(scene, capture, accuracy, switched(secondary_bounce=setting))
-        assert decided.apply_transport(scene, capture, accuracy)[1].secondary == wanted
-    scene, capture, accuracy = world_of(small())
-    decided = decide_transport_effects(scene, capture, accuracy, switched(secondary_bounce=2))
-    with pytest.raises(InputError, match="set observed"):
-        decided.apply_transport(scene, capture, accuracy)
-
-
 @pytest.mark.parametrize("index", range(3))
 def test_random_scenes_keep_the_promise(index: int) -> None:
     """Other scenes than those that `promise_table.py` measures."""
-    outcome = run_case(random_case(index, seed=77, lookins=1024))
+    outcome = run_case(random_case(index, seed=77, samples=128))
     assert outcome.broken(0.01) == []
 
 
 def test_extreme_scenes_keep_the_promise() -> None:
-    most = run_case(nearly_everything_skipped(lookins=1024))
+    most = run_case(nearly_everything_skipped(samples=128))
     assert most.broken(0.01) == []
     decided = [row.name for row in EFFECTS if row.saves > 0]
     assert [most.states[name] for name in decided] == ["off"] * len(decided)
-    least = run_case(nearly_nothing_skipped(lookins=1024))
+    least = run_case(nearly_nothing_skipped(samples=128))
     assert least.broken(0.01) == []
     assert "off" not in least.states.values()

@@ -30,13 +30,13 @@ def capture(pairing: str = "exhaustive", time: TimeAxis = AXIS) -> Capture:
 
 
 def accuracy(max_bounces: int | None = 3, direct: bool = False) -> Accuracy:
-    return Accuracy(lookins=131072, fov_samples=2, replicates=2, max_bounces=max_bounces, direct=direct)
+    return Accuracy(samples=131072, max_bounces=max_bounces, direct=direct)
 
 
 def left_out_change(scene: Scene, looked: Capture, wanted: Accuracy, effect: str) -> float:
     """Relative L2 change of the transient when only this effect is off, noise cancelled (two seeds)."""
     off = EffectsConfig.model_validate({row.name: "off" if row.name == effect else "on" for row in EFFECTS})
-    runs, wanted = {}, replace(wanted, lookins=4096)
+    runs, wanted = {}, replace(wanted, samples=1024)
     for name, settings in (("on", EVERYTHING), ("off", off)):
         plan = decide_transport_effects(scene, looked, wanted, settings)
         reduced, fewer = plan.apply_transport(scene, looked, wanted)
@@ -105,7 +105,7 @@ def test_a_trial_run_decides_only_what_it_can() -> None:
     """One that meets no light proves nothing, a small transport is not worth one, and three bounces leave nothing."""
     far = capture(time=TimeAxis(64, 1e-10, 1e-6, "wall"))
     dark = planned(furnished_box(), far, accuracy(5))
-    few = planned(furnished_box(), capture(), Accuracy(lookins=64, fov_samples=1, replicates=1, max_bounces=4))
+    few = planned(furnished_box(), capture(), Accuracy(samples=64, max_bounces=4))
     assert all(dark[effect].simulated for effect in ("secondary_bounce", "higher_bounces"))
     assert few["secondary_bounce"].simulated and "cost" in few["secondary_bounce"].reason
     decided = planned(furnished_box(0.7), capture(), accuracy(3))
@@ -115,7 +115,7 @@ def test_a_trial_run_decides_only_what_it_can() -> None:
 def test_both_runs_of_a_trial_are_independent() -> None:
     """Over 100 seeds the noise of one must not show in the other: Σ cov(a, b) over all
     channels and bins is 0 to within 4 standard errors, where Σ var(a) is many times as much."""
-    few = Accuracy(lookins=1024, fov_samples=1, max_bounces=4)
+    few = Accuracy(samples=1024, max_bounces=4)
     looked, room = replace(capture(), illumination="flood"), furnished_box(0.7)
     caster = Raycaster(room)
     points = LaserPoints.of(caster, room, looked.laser)

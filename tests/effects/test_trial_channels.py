@@ -61,8 +61,8 @@ CAPTURES: dict[str, tuple[Capture, bool]] = {
 
 def direct_decided(scene: Scene, capture: Capture) -> tuple[EffectDecisions, float]:
     """Decisions about a transport large enough for a trial run, and how much direct light there is."""
-    large = Accuracy(lookins=8192, fov_samples=2, replicates=2, max_bounces=4, direct=True)
-    few = Accuracy(lookins=64, fov_samples=4, replicates=1, max_bounces=3, direct=True)
+    large = Accuracy(samples=8192, max_bounces=4, direct=True)
+    few = Accuracy(samples=64, max_bounces=3, direct=True)
     direct = simulate(scene, capture, few, seed=1, split_parts=False).components["direct"]
     return decide_transport_effects(scene, capture, large, seed=5), float(direct.sum())
 
@@ -115,8 +115,8 @@ def beside_a_wall(capture_of: str) -> tuple[Scene, Capture]:
 @pytest.mark.parametrize("how", ["flood", "array"])
 def test_four_bounces_at_one_edge_of_the_scan_are_seen(how: str) -> None:
     scene, capture = beside_a_wall(how)
-    plan = decide_transport_effects(scene, capture, Accuracy(lookins=8192, fov_samples=2, max_bounces=4), seed=3)
-    light = simulate(scene, capture, Accuracy(lookins=256, fov_samples=1, max_bounces=4), seed=2, split_parts=False)
+    plan = decide_transport_effects(scene, capture, Accuracy(samples=8192, max_bounces=4), seed=3)
+    light = simulate(scene, capture, Accuracy(samples=256, max_bounces=4), seed=2, split_parts=False)
     share = np.linalg.norm(light.components["secondary"]) / np.linalg.norm(light.total)
     assert share > 0.05
     decision = plan["secondary_bounce"]

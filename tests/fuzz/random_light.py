@@ -174,27 +174,16 @@ def captures(draw: st.DrawFn) -> Capture:
 
 @st.composite
 def accuracies(draw: st.DrawFn, *, counts: bool = False) -> Accuracy:
-    """Sample counts and effects; or, unless only `counts` are wanted, a target that must choose them itself."""
+    """Numbers of samples and effects; or, unless only `counts` are wanted, a target that must choose them itself."""
     if not counts and draw(st.integers(0, 5)) == 0:
         return Accuracy(
-            target=draw(st.sampled_from([1.0, 0.3, 0.05])),
-            max_lookins=draw(st.sampled_from([2048, 4096, 1 << 15])),
-            max_bounces=draw(st.sampled_from([3, 4, 5, None])),
-            direct=draw(st.booleans()),
-            secondary=draw(st.sampled_from(["all", "none"])),
-        )
-    observed = draw(st.sampled_from([None, None, 1, 7, 32]))
-    secondary = ["all", "none", "all"] if observed is None else ["all", "none", "strongest", 1, 3]
+            target=draw(st.sampled_from([1.0, 0.3, 0.05])), max_bounces=draw(st.sampled_from([3, 4, 5, None])),
+            direct=draw(st.booleans()), secondary=draw(st.booleans()),
+        )  # fmt: skip
     return Accuracy(
-        lookins=draw(st.sampled_from([1, 2, 5, 64, 256])),
-        fov_samples=draw(st.sampled_from([1, 2, 5])),
-        max_bounces=draw(st.sampled_from([3, 4, 4, 5, 8, None])),
-        replicates=draw(st.sampled_from([1, 2, 8])),
-        direct=draw(st.booleans()),
-        observed=observed,
-        secondary=draw(st.sampled_from(secondary)),
-        occlusion=draw(st.sampled_from(["auto", "auto", "on", "off"])),
-    )
+        samples=draw(st.sampled_from([1, 2, 5, 64, 256])), max_bounces=draw(st.sampled_from([3, 4, 4, 5, 8, None])),
+        direct=draw(st.booleans()), secondary=draw(st.booleans()),
+    )  # fmt: skip
 
 
 @st.composite

@@ -38,7 +38,7 @@ def build(out: Path) -> None:
         middles = dg.Sensor.grid(eye, (0, 0, 0), (HALF_M, 0, 0), (0, HALF_M, 0), lasers, lasers).pixels.mean(axis=1)
         pairing: Any = "confocal" if name == "confocal" else "exhaustive"
         capture = dg.Capture(dg.Laser(eye, middles), sensor, time, pairing)
-        plain = {"transport": {"max_bounces": 3, "lookins": 4096, "fov_samples": 4, "replicates": 2}}
+        plain = {"transport": {"max_bounces": 3, "samples": 4096}}
         dg.build_from([scene], out / f"{name}.zarr", capture, fields=("transient",), settings=plain)
         export(out / f"{name}.zarr", out / name, "tal")
 

@@ -1,31 +1,20 @@
 """Lobes seen by pixels of a finite size: quartering pixels must not make the light worse, and how finely surfaces are
 cut must follow the light that there is."""
 
-import numpy as np
 import pytest
 from benchmarks.foreign_scenes import ForeignScene, foreign_scene
-from benchmarks.promise import WHOLE, Truth, lights, off_square
 
 from datagen import Accuracy, simulate
-from datagen.design.light import Light
-from datagen.records.arrays import Floats
+from datagen.bench.plain_check import RUNS, PlainPaths
+from datagen.transport.reference import pairs_of
 
 SAMPLES = 1 << 19
 """Samples of the truth over all pairs; they take a second. Lobes narrower than pixels need four times as many."""
 
 
-def off(ours: Floats, truth: Floats) -> float:
-    """Relative L2 error of the light, with the noise of the truth subtracted; `truth` (K, n) holds independent
-    runs."""
-    norm, _ = off_square(np.zeros(truth.shape[1]), truth)
-    return float(np.sqrt(max(off_square(ours.ravel(), truth)[0], 0.0) / norm))
-
-
-def truth_of(foreign: ForeignScene, what: str, samples: int = SAMPLES) -> Floats:
-    accuracy = Accuracy(max_bounces=foreign.max_bounces)
-    truth = Truth(Light(foreign.scene, foreign.capture, accuracy, 0), seed=1)
-    truth.add(samples // truth.pairs)
-    return truth.light[what].reshape(len(truth.light[what]), -1)
+def truth_of(foreign: ForeignScene, samples: int = SAMPLES) -> PlainPaths:
+    pairs = len(pairs_of(foreign.capture))
+    return PlainPaths.of(foreign.scene, foreign.capture, Accuracy(), samples // (RUNS * pairs), 1)
 
 
 @pytest.mark.parametrize(
@@ -36,18 +25,19 @@ def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> N
     erred by 2^levels, and a box with a retroreflecting lobe of 11 degrees."""
     foreign = foreign_scene(scene)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
-    assert off(lights(run)[part], truth_of(foreign, part, 4 * SAMPLES)) < max(2.0 * run.part_errors[part], 0.03)
+    found = truth_of(foreign, 4 * SAMPLES).check(run.parts[part], part)
+    assert found.error < max(2.0 * run.part_errors[part], 0.03)
 
 
 def test_how_finely_to_cut_is_measured_by_the_light_there_is() -> None:
     """A wall with a narrow lobe, and a device low above the floor: matt surfaces would bring a million times as much
     light. Elements that may err by a thousandth of that light agree with each other whatever they miss."""
     foreign = foreign_scene(45)
-    true = truth_of(foreign, WHOLE)
+    true = truth_of(foreign)
     for target in (0.05, 0.02):
         run = simulate(foreign.scene, foreign.capture, Accuracy(target=target, max_bounces=3), seed=1)
         assert run.met_target and run.samplers["primary"] == "quadrature"
-        assert off(lights(run)[WHOLE], true) < max(target, 0.03)
+        assert true.check(run.total, "primary").error < max(target, 0.03)
 
 
 def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
@@ -56,7 +46,8 @@ def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
     foreign, part = foreign_scene(35), "object 2"
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
     crossed = 1
-    true = truth_of(foreign, part).reshape(-1, *run.parts[part].shape)[:, crossed].sum(axis=(1, 2)).mean()
+    runs = truth_of(foreign).runs[part].reshape(RUNS, *run.parts[part].shape)
+    true = runs[:, crossed].sum(axis=(1, 2)).mean()
     assert run.parts[part][crossed].sum() == pytest.approx(true, rel=0.02)
 
 
@@ -66,4 +57,4 @@ def test_cells_are_cut_for_the_light_that_small_patches_see() -> None:
     of one pixel's light: elements that are fine enough without that light lost 6 % where 1.4 % was claimed."""
     foreign = foreign_scene(176)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=176)
-    assert run.met_target and off(lights(run)[WHOLE], truth_of(foreign, WHOLE)) < 0.03
+    assert run.met_target and truth_of(foreign).check(run.total, "primary").error < 0.03

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.foreign_scenes import foreign_scene
-from benchmarks.promise import WHOLE, Truth, lights, off_square
 
 from datagen import Accuracy, simulate
-from datagen.design.light import Light
+from datagen.bench.plain_check import RUNS, PlainPaths
 from datagen.transport.reference import pairs_of
 
 MESHES = Path(__file__).resolve().parents[3] / "shared" / "meshes"
+WHOLE = "whole"
 SAMPLES = 1 << 19
 """Samples of the truth; they take some seconds. Rare paths need more."""
 
@@ -35,9 +35,7 @@ def test_light_of_one_pair_is_right(scene: int, pair: int, what: str, most: floa
     laser, pixel = pairs_of(foreign.capture)[pair]
     capture = foreign.capture.excerpt(np.array([laser]), np.array([pixel]))
     accuracy = Accuracy(target=0.05, max_bounces=foreign.max_bounces)
-    ours = lights(simulate(foreign.scene, capture, accuracy, seed=scene))[what].ravel()
-    truth = Truth(Light(foreign.scene, capture, Accuracy(max_bounces=foreign.max_bounces), 0), seed=1)
-    truth.add(samples)
-    runs = truth.light[what].reshape(len(truth.light[what]), -1)
-    norm, _ = off_square(np.zeros_like(ours), runs)
-    assert off_square(ours, runs)[0] < most**2 * norm
+    ours = simulate(foreign.scene, capture, accuracy, seed=scene)
+    truth = PlainPaths.of(foreign.scene, capture, accuracy, samples // RUNS, 1)
+    found = ours.total if what == WHOLE else ours.parts[what]
+    assert truth.check(found, *(ours.components if what == WHOLE else [what])).error < most

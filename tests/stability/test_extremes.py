@@ -60,10 +60,9 @@ def relative_l1(found: np.ndarray, truth: np.ndarray) -> float:
 
 
 WAYS = {
-    "walk": (Accuracy(2048, 4, 4, 4, direct=True), 1e-4),
-    "factorised": (Accuracy(2048, 4, 4, 4, direct=True, observed=16), 1e-4),
-    "glossy": (Accuracy(2048, 4, 4, 4, direct=True), 1e-4),
-    "all orders": (Accuracy(2048, 4, None, 4, direct=True), 1e-4),
+    "paths": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
+    "glossy": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
+    "all orders": (Accuracy(samples=2048, max_bounces=None, direct=True), 1e-4),
     "to a target": (Accuracy(target=0.02), 5e-3),
 }
 """Each with the largest relative difference."""
@@ -103,7 +102,7 @@ def test_one_sample_at_a_surface_that_is_touched_is_bounded() -> None:
     wall = Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
     scene = Scene.from_parts([wall, floor])
     capture = one_point_capture((0, -0.02, gap), (0, 0.02, gap + half), half, bins_of_path(1, 5.0, 0.0))
-    single = [energy(simulate(scene, capture, Accuracy(1, 1, 3, 1), seed=s)) for s in range(200)]
+    single = [energy(simulate(scene, capture, Accuracy(samples=1, max_bounces=3), seed=s)) for s in range(200)]
     range_m = capture.sensor.position[0]
     assert 0 < max(single) <= 2 * 0.8 * 0.6 * 0.8 / math.pi * APERTURE_M2 / range_m**2
 
@@ -113,7 +112,7 @@ def test_a_laser_point_nearer_to_an_edge_than_rays_are_lifted() -> None:
 
     def later(distance: float) -> float:
         capture = one_point_capture((0, -1.5 + distance, 1.4), time=WINDOW)
-        result = simulate(furnished_box(), capture, Accuracy(4096, 4, 5, 4), seed=1)
+        result = simulate(furnished_box(), capture, Accuracy(samples=4096, max_bounces=5), seed=1)
         return float(result.components["secondary"].sum() + result.components["higher"].sum())
 
     assert later(1e-6) == pytest.approx(later(1e-4), rel=5e-3)
@@ -129,7 +128,7 @@ def test_a_wall_sends_nothing_to_itself() -> None:
     eye = rotate @ np.array([1.0, 0, 0])
     pixels = square_pixels([[0, 0.01, 0.0]], 0.2) @ rotate.T
     capture = Capture(Laser(eye, [rotate @ np.array([0, -0.3, 0])]), Sensor(eye, pixels), bins_of_path(10, 1.0, 0.0))
-    assert energy(simulate(scene, capture, Accuracy(1 << 14, 4, 5, 4), seed=1)) == 0.0
+    assert energy(simulate(scene, capture, Accuracy(samples=1 << 14, max_bounces=5), seed=1)) == 0.0
     assert np.ptp(mesh.triangles_center @ mesh.face_normals[0]) > 0, "the plane is held exactly"
 
 
@@ -142,7 +141,7 @@ def test_light_in_a_gap_of_a_millimetre() -> None:
     eye = np.array([gap / 2, 2e-4, 0.0])
     sensor = Sensor(eye, square_pixels([other], 1e-6))
     capture = Capture(Laser(eye, [one]), sensor, bins_of_path(1, 1.0, 0.0))
-    found = energy(simulate(scene, capture, Accuracy(1 << 16, 1, 3, 1), seed=1))
+    found = energy(simulate(scene, capture, Accuracy(samples=1 << 16, max_bounces=3), seed=1))
     # Polar about the laser point, dense where the plate is near: ∫∫ (g²/r²)² in closed steps.
     t, a = (np.arange(4000) + 0.5) / 4000, (np.arange(400) + 0.5) / 400 * 2 * np.pi
     radius = gap * np.sqrt(t / (1 - t))[:, None]
@@ -162,7 +161,7 @@ def test_a_pixel_seen_edge_on_is_as_bright_as_from_anywhere() -> None:
     outline = 2e-5 * np.array([[0.1, 0, -1], [-0.1, 0, -1], [-0.1, 0, 1], [0.1, 0, 1]])
     sensor = Sensor(eye, [eye + (x3 + outline - eye) * 0.5])
     capture = Capture(Laser((1.5, 0, 0.9), [x1]), sensor, bins_of_path(400, 0.01, 0.0))
-    found = energy(simulate(scene, capture, Accuracy(512, 64, 3, 2), seed=3))
+    found = energy(simulate(scene, capture, Accuracy(samples=512, max_bounces=3), seed=3))
     r12, r23 = np.linalg.norm(x2 - x1), np.linalg.norm(x3 - x2)
     lit = 0.8 / math.pi * 1.2 / r12 * 1.2 / r12 / r12**2 * 1e-6
     irradiance = lit * 0.6 / math.pi * (1.2 / r23) ** 2 / r23**2
@@ -178,7 +177,7 @@ def test_light_that_never_fades_fills_a_closed_room_evenly() -> None:
     scene = Scene.from_parts([Part("room", room, Lambertian(1.0), "structure"), Part("box", box, rough, "structure")])
     sensor, width = Sensor((0.3, -0.2, 0.7), square_pixels([[0, 0.1, 0.5]], 0.2)), 0.25
     capture = Capture(Laser((0.3, -0.2, 0.7), [[0, -0.3, 0.4]]), sensor, bins_of_path(16, width, 5.0))
-    found = simulate(scene, capture, Accuracy(1 << 15, 4, None, 8), seed=3)
+    found = simulate(scene, capture, Accuracy(samples=1 << 15, max_bounces=None), seed=3)
     even = width / (4 * math.pi * (1 - 0.3**3)) * APERTURE_M2 * PixelCones.of(sensor).solid_angle[0]
     assert found.total.mean() == pytest.approx(even, rel=1e-2)
 
@@ -199,7 +198,7 @@ def test_surfaces_of_many_triangles_send_the_light_of_few() -> None:
             mesh = mesh.subdivide()
         parts[k] = replace(parts[k], mesh=mesh)
     fine = Scene.from_parts(parts)
-    few, many = (simulate(of, capture, Accuracy(4096, 4, 4, 4), seed=1) for of in (scene, fine))
+    few, many = (simulate(of, capture, Accuracy(samples=4096, max_bounces=4), seed=1) for of in (scene, fine))
     assert len(fine.triangles) > 15_000
     assert relative_l1(many.total, few.total) < 1e-9
 
@@ -231,7 +230,7 @@ def test_laser_point_in_a_corner_of_the_room() -> None:
 
     def components(d: float) -> dict[str, float]:
         capture = one_point_capture((0, -1.5 + d, 2.5 - d), time=WINDOW)
-        result = simulate(furnished_box(), capture, Accuracy(4096, 4, 4, 4), seed=2)
+        result = simulate(furnished_box(), capture, Accuracy(samples=4096, max_bounces=4), seed=2)
         return {name: float(values.sum()) for name, values in result.components.items()}
 
     limit = components(1e-4)
@@ -249,7 +248,7 @@ def test_a_laser_ray_along_the_wall_or_past_it_lights_what_it_meets() -> None:
     for target, lit in (([1.0, 1, 0], False), ([0.0, 5.0, 9.0], False), ([-1e-9, -1.0, 0], True)):
         origin = np.array([0.0 if not lit else 1e-9, -3.0, 0.0]) if target[0] <= 0 else np.array([1.0, -3.0, 0.0])
         capture = Capture(Laser(origin, [target]), Sensor((1.0, 0, 0), pixels), bins_of_path(4, 5.0, 0.0))
-        result = simulate(scene, capture, Accuracy(64, 2, 4, 2, direct=True), seed=1)
+        result = simulate(scene, capture, Accuracy(samples=64, max_bounces=4, direct=True), seed=1)
         assert np.isfinite(result.laser_points).all() == lit
         assert energy(result) == 0.0, "a wall alone sends nothing back to itself"
 
@@ -264,7 +263,7 @@ def test_a_pixel_across_an_edge_is_the_sum_of_its_halves() -> None:
     def of(low: float, high: float) -> float:
         corners = np.array([[0, low, 1.8], [0, high, 1.8], [0, high, 2.2], [0, low, 2.2]])
         capture = Capture(Laser(eye, [[0, -0.6, 0]]), Sensor(eye, [corners]), bins_of_path(1, 50.0, 0.0))
-        return energy(simulate(scene, capture, Accuracy(1 << 14, 16, 3, 4), seed=1))
+        return energy(simulate(scene, capture, Accuracy(samples=1 << 14, max_bounces=3), seed=1))
 
     halves = of(-0.4, 0.1) + of(0.1, 0.6)
     assert halves > 0
@@ -280,7 +279,7 @@ def test_attenuation_from_nothing_to_opaque(attenuation: float, rel: float) -> N
     capture = Capture(Laser(eye, [x1]), Sensor(eye, square_pixels([x3], 1e-7)), bins_of_path(9, 5.0, 0.0))
     legs = (eye - x1, x2 - x1, x3 - x2, eye - x3)
     path = sum(float(np.linalg.norm(leg)) for leg in legs)
-    accuracy = Accuracy(256, 2, 3, 2)
+    accuracy = Accuracy(samples=256, max_bounces=3)
     foggy = energy(simulate(replace(clear, attenuation_per_m=attenuation), capture, accuracy, seed=3))
     assert foggy == pytest.approx(energy(simulate(clear, capture, accuracy, seed=3)) * np.exp(-attenuation * path),
                                   rel=rel, abs=0)  # fmt: skip
@@ -293,7 +292,7 @@ def test_light_that_never_fades_keeps_its_weight() -> None:
     config = load_config(ROOM)
     room = generate_scene(config.scene, config.seed, 0)
     capture = capture_for(config, room)
-    accuracy = Accuracy(4096, 4, None, 8)
+    accuracy = Accuracy(samples=4096, max_bounces=None)
     errors = [simulate(room, capture, accuracy, seed=seed, split_parts=False).relative_error for seed in range(8)]
     assert max(errors) < 1.1 * np.median(errors)
 
