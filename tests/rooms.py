@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
-ONE_BOUNCE = Accuracy(lookins=1, replicates=1, max_bounces=1, direct=True)
+ONE_BOUNCE = Accuracy(samples=1, max_bounces=1, direct=True)
 """Light of the first return alone, which has no noise."""
 
 

@@ -593,7 +593,8 @@ class Blocks:
         ends = of_x.light.shape[1] + of_y.light.shape[1]
         wanted = max(PAIRS * VERTICES, ends * VERTICES // 2) // (1 if order == 4 else 4)
         full = work.guess_of_certain_pairs(order, total / wanted)
-        most = int(total / full) + 2
+        # The measuring block may have met hardly any light: then all pairs are certain.
+        most = int(min(total / full, n * m)) + 2
         a, b = np.empty(most, np.int64), np.empty(most, np.int64)
         origin, span = np.empty((most, 3), np.float32), np.empty((most, 3), np.float32)
         offset = self.caster.offset_m

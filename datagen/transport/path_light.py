@@ -51,8 +51,9 @@ def with_samples(problem: Problem) -> Estimate:
         else:
             variance_of_pairs[some] = np.nan
     parts = dict(zip(problem.parts, light, strict=False))
+    found = rows.components(light)
     return Estimate(
-        rows.components(light), parts, np.sqrt(variance), overflow,
+        {name: found[name] for name in problem.components}, parts, np.sqrt(variance), overflow,
         samplers=dict.fromkeys(problem.components, "paths"),
         rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
     )  # fmt: skip

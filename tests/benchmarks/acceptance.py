@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -25,7 +26,7 @@ from benchmarks.foreign_scenes import foreign_scene
 
 import datagen as dg
 from datagen.bench.measuring import machine, markdown, percent
-from datagen.bench.plain_check import RUNS, PlainPaths
+from datagen.bench.plain_check import RUNS, Checked, PlainPaths
 from datagen.transport.flood import as_scan
 from datagen.transport.reference import pairs_of
 
@@ -54,8 +55,26 @@ def foreign(scenes: int, first: int) -> Iterator[tuple[str, dg.Scene, dg.Capture
         yield f"foreign {number}", found.scene, found.capture
 
 
-def row(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accuracy, paths: float) -> list[str]:
-    """Cells of a scene. paths : thousands of plain paths, over all pairs and runs, that the check draws."""
+class Case(NamedTuple):
+    """A scene measured. seconds, claimed : of one run. found : true error of the whole. energies : component → ratio of
+    its energy to that of paths, standard error of the latter, and sampler. objects : claimed and true error of each
+    object with more than 1e-4 of the light whose true error is known."""
+
+    name: str
+    seconds: float
+    claimed: float
+    found: Checked
+    energies: dict[str, tuple[float, float, str]]
+    objects: list[tuple[float, float]]
+
+    def cells(self) -> list[str]:
+        """The row of the table."""
+        energies = [f"{ratio:.3f} ± {noise:.3f} ({way})" for ratio, noise, way in self.energies.values()]
+        return [self.name, f"{self.seconds:.2f}", percent(self.claimed), str(self.found), *energies]
+
+
+def measured(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accuracy, paths: float) -> Case:
+    """A scene. paths : thousands of plain paths, over all pairs and runs, that the check draws."""
     capture = as_scan(capture) if capture.illumination == "flood" else capture
     count = len(pairs_of(capture))
     chosen = np.sort(np.random.default_rng(0).choice(count, min(count, PAIRS), replace=False))
@@ -65,16 +84,43 @@ def row(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accuracy, 
     began = time.process_time()
     light = dg.simulate(scene, capture, accuracy, 1)
     seconds = time.process_time() - began
-    names = [name for name in light.components]
-    whole = truth.check(light.total, *names)
-    cells = [name, f"{seconds:.2f}", percent(light.relative_error), str(whole)]
-    for part in ("primary", "secondary", "higher"):
-        if part in names:
-            energies = truth.runs[part].sum(axis=(1, 2))
-            found = light.components[part].reshape(count, -1)[chosen].sum()
-            ratio, noise = found / energies.mean(), energies.std(ddof=1) / math.sqrt(RUNS) / energies.mean()
-            cells.append(f"{ratio:.3f} ± {noise:.3f} {light.samplers[part][:1]}")
-    return cells
+    energies, objects = {}, []
+    for component, of in light.components.items():
+        true = truth.runs[component].sum(axis=(1, 2))
+        if true.mean() > 0:
+            ratio = of.reshape(count, -1)[chosen].sum() / true.mean()
+            noise = true.std(ddof=1) / math.sqrt(RUNS) / true.mean()
+            energies[component] = (ratio, noise, light.samplers[component])
+    for part, claimed in light.part_errors.items():
+        found = truth.check(light.parts[part], part)
+        if light.parts[part].sum() > 1e-4 * light.total.sum() and is_known(found, claimed):
+            objects.append((claimed, found.error))
+    return Case(name, seconds, light.relative_error, truth.check(light.total, *light.components), energies, objects)
+
+
+def is_known(found: Checked, claimed: float) -> bool:
+    """Whether the noise of the check is small enough to judge a claim."""
+    return found.noise < 0.5 * claimed**2
+
+
+def summary(cases: list[Case], target: float) -> str:
+    """What became of claims and target: medians and 95 % of true over claimed error, and of claims over the target."""
+    wholes = [(c.claimed, c.found.error) for c in cases if is_known(c.found, c.claimed) and c.claimed > 0]
+    lines = [f"{len(cases)} scenes, {sum(c.seconds for c in cases):.1f} processor s"]
+    for what, pairs in (("wholes", wholes), ("objects", [pair for c in cases for pair in c.objects])):
+        if pairs:
+            ratio = np.array([found / claimed for claimed, found in pairs])
+            low, high, most = np.median(ratio), np.quantile(ratio, 0.95), ratio.max()
+            lines.append(f"{what}: {len(pairs)} known; true/claimed median {low:.2f}, 95 % {high:.2f}, largest {most:.2f}")
+    claims = np.array([c.claimed for c in cases]) / target
+    lines.append(f"claimed/target: median {np.median(claims):.2f}, 95 % {np.quantile(claims, 0.95):.2f}")
+    for component in ("primary", "secondary", "higher"):
+        known = [c.energies[component][:2] for c in cases if component in c.energies]
+        if known:
+            weights = 1 / np.array([max(noise, 1e-3) ** 2 for _, noise in known])
+            mean = np.average([ratio for ratio, _ in known], weights=weights)
+            lines.append(f"energy of {component} over paths: {mean:.4f} (mean, weighted by what is known)")
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -88,14 +134,17 @@ def main() -> None:
     parser.add_argument("--paths", type=float, default=2000.0, help="thousands of plain paths of a scene")
     asked = parser.parse_args()
     accuracy = dg.Accuracy(target=asked.target, max_bounces=asked.bounces)
-    head = ["scene", "processor s", "claimed", "found", "primary", "secondary", "higher"][: asked.bounces + 2]
+    head = ["scene", "processor s", "claimed", "found", "primary", "secondary", "higher"][: min(asked.bounces, 5) + 2]
     print(f"{machine()}; target {percent(asked.target)}, up to {asked.bounces} bounces\n")
     print(markdown(head, []))
     for case in asked.cases:
         # Rooms kept aside have numbers that no test uses.
         make, first = (ready, asked.first) if case == "ready" else (foreign, asked.first + 9000 * (case == "kept"))
+        cases = []
         for name, scene, capture in make(asked.scenes, first):
-            print(f"| {' | '.join(row(name, scene, capture, accuracy, asked.paths))} |", flush=True)
+            cases.append(measured(name, scene, capture, accuracy, asked.paths))
+            print(f"| {' | '.join(cases[-1].cells())} |", flush=True)
+        print(f"\n{summary(cases, asked.target)}\n")
 
 
 if __name__ == "__main__":

@@ -63,10 +63,10 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
     truth *= 0.8**2 * 0.6 / np.pi**3 * APERTURE_M2 * omega[:, None]
     result = simulate(scene, capture, accuracy, seed=5, split_parts=False)
-    assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < 0.01
+    assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < (0.01 if accuracy is BY_ELEMENTS else 0.025)
     if accuracy is BY_ELEMENTS:
         assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
-    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4)
+    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_ELEMENTS else 1e-3)
 
 
 @pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17, max_bounces=3), BY_ELEMENTS], ids=["paths", "elements"])
