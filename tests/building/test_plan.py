@@ -11,7 +11,6 @@ from datasets import write_dataset
 
 from datagen.building import plan as planning
 from datagen.building.plan import AT_LEAST_S, WORTH, Pilots, planned, scene_limit, simulated_scenes
-from datagen.building.plan_text import duration
 from datagen.cli import run
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.errors import InputError
@@ -52,8 +51,8 @@ def test_a_build_is_the_mean_scene_times_their_number() -> None:
     assert planned(config_from_mapping({"scenes": 1}), pilots(50.0), 1, 2).build_s == 50.0
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3, 7])
-@pytest.mark.parametrize("scenes", [1, 5, 25, 28, 160, 387])
+@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("scenes", [5, 28, 160])
 def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: int, workers: int) -> None:
     """Against a plain simulation of the queue, in which the scenes of the last shards are jobs of their own."""
     config = config_from_mapping({"scenes": scenes, "store": {"scenes_per_shard": 4}})
@@ -122,33 +121,6 @@ def test_the_plan_says_what_a_build_takes_and_makes(
     assert (expected["scenes"], expected["workers"], expected["simulated"]) == (3, 2, 3)
     assert expected["build_s"] > 0 and expected["build_bytes"] > 0 and values["cores"] >= 1
     assert {of["kind"] for of in expected["evidence"]} == {"box", "pillar"}
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        (["--workers", "0"], "--workers 0"),
-        (["--seconds", "0"], "--seconds 0"),
-        (["--seconds", "nan"], "--seconds nan"),
-        (["--scenes", "0"], "--scenes 0"),
-        (["--json", "nowhere/plan.json"], "no folder nowhere"),
-        (["--json", "."], "is a folder"),
-    ],
-)
-def test_bad_input_is_one_line(
-    config: Path, options: list[str], word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["plan", str(config), *options]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and word in err and err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.5, "0.5 s"), (43.2, "43 s"), (119.0, "2 min"), (3000.0, "50 min"), (12240.0, "3.4 h"), (1e6, "12 days")],
-)
-def test_durations_for_people(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
 
 
 def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.MonkeyPatch) -> None:

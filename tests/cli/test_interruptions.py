@@ -34,11 +34,8 @@ def test_a_command_that_is_ended_says_so_in_one_line() -> None:
     ("work", "command", "said"),
     [
         ("datagen.devices read_frames", "compare a.npz --device tmf8820 --mesh a.stl", ANEW),
-        ("datagen.devices read_frames", "calibrate a.npz --device tmf8820 --out a.yaml", ANEW),
         ("datagen.config load_config", "plan a.yaml", ANEW),
-        ("datagen.bench.accuracy load_config", "bench accuracy a.yaml out", ANEW),
         ("datagen.store verify", "verify out", CHANGED_NOTHING),
-        ("datagen.store.info info", "info out", CHANGED_NOTHING),
         ("datagen.formats export", "export out files --format npz", FINISHED_FILES),
         ("datagen.config load_config", "build a.yaml out", GOES_ON),
         ("datagen.formats import_captures", "import a.npz out", GOES_ON),

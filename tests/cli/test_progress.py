@@ -51,6 +51,11 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     shown = Progress(True)
+    for step in ("checking", *["compiling"] * 100):
+        now[0] += 1.0
+        shown.doing(step)
+    assert capsys.readouterr().err == "compiling\n"
+    now[0] = 0.0
     shown.begin(1000, 0)
     for scene in range(1000):
         now[0] += 1.0
@@ -62,24 +67,3 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     assert lines[0] == "0 of 1000 scenes; scene 0 in work" and "10 of 1000 scenes, 0.91 scenes/s" in lines[1]
     # Every ten seconds, later at each twentieth of the time.
     assert 40 < len(lines) < 70
-
-
-def test_a_log_says_once_what_comes_before_the_first_scene(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    shown = Progress(True)
-    shown.doing("checking")
-    for _ in range(100):
-        now[0] += 1.0
-        shown.doing("compiling")
-    assert capsys.readouterr().err == "compiling\n"
-
-
-def test_nothing_is_shown_unasked(capsys: pytest.CaptureFixture[str]) -> None:
-    report = Progress(False)
-    report.begin(4, 0)
-    report.update(4, (), 0)
-    report.close()
-    assert capsys.readouterr() == ("", "")

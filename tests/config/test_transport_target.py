@@ -29,18 +29,13 @@ def configured(**transport: object) -> DatasetConfig:
     return config_from_mapping({**SMALL, "transport": transport})
 
 
-@pytest.mark.parametrize("name", ["lookins", "fov_samples", "replicates", "observed"])
-def test_counts_beside_a_target_are_refused_even_at_their_defaults(name: str) -> None:
-    with pytest.raises(InputError, match=name) as error:
-        configured(target=0.1, **{name: 64})
-    assert "target" in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("value", [0.0, 2, -0.1, "fine"])
-def test_impossible_targets_are_refused(value: object) -> None:
-    with pytest.raises(InputError, match=r"transport\.target"):
-        configured(target=value)
+def test_counts_beside_a_target_and_impossible_targets_are_refused() -> None:
+    for name in ("lookins", "fov_samples", "replicates", "observed"):
+        with pytest.raises(InputError, match=f"target.*{name}|{name}.*target"):
+            configured(target=0.1, **{name: 64})
+    for value in (0.0, 2, -0.1, "fine"):
+        with pytest.raises(InputError, match=r"transport\.target"):
+            configured(target=value)
 
 
 def test_a_target_reaches_the_simulation_and_the_fingerprint() -> None:
@@ -52,8 +47,6 @@ def test_a_target_reaches_the_simulation_and_the_fingerprint() -> None:
 
 def test_a_dataset_says_whether_its_targets_were_met(tmp_path: Path) -> None:
     build(configured(target=0.3), tmp_path / "targeted", progress=False)
-    text = info(tmp_path / "targeted")
-    assert "target met in 2 of 2 scenes" in text
-    assert "share of the transport's cost (median): primary 100%" in text
+    assert "target met in 2 of 2 scenes" in info(tmp_path / "targeted")
     build(configured(target=1e-4, max_lookins=2048), tmp_path / "hopeless", progress=False)
     assert "target met in 0 of 2 scenes" in info(tmp_path / "hopeless")

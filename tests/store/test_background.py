@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from datasets import write_dataset
+from rooms import rectangle
 from scipy import stats
 
 import datagen as dg
@@ -46,14 +47,12 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(config(), tmp_path_factory.mktemp("background") / "set")
 
 
-def plate(x: float, half: float) -> trimesh.Trimesh:
-    """Facing the wall x = 0, x in front of it."""
-    corners = [(x, a * half, b * half) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
-
-
 def room(albedo: float | None) -> dg.Scene:
     """A wall, another 2 m behind it, and between them a plate of an albedo, or none."""
+
+    def plate(x: float, half: float) -> trimesh.Trimesh:
+        return rectangle((x, 0, 0), (0, half, 0), (0, 0, half))
+
     parts = [
         dg.Part("relay_wall", plate(0, 2), dg.Lambertian(0.8), "relay_wall"),
         dg.Part("back", plate(2, 2), dg.Lambertian(0.8), "structure"),
@@ -109,10 +108,9 @@ def test_without_a_part_is_as_if_it_had_never_been_there() -> None:
         assert np.array_equal(getattr(emptied, name), getattr(never, name))
     assert (emptied.part_names, emptied.roles) == (never.part_names, never.roles)
     assert room(0.5).without("back").objects == ("plate",)
-    with pytest.raises(dg.InputError, match="part 'door': this scene has relay_wall, back, plate"):
-        room(0.5).without("door")
-    with pytest.raises(dg.InputError, match=r"Scene.without: .*: a scene needs at least one surface"):
-        room(None).without("relay_wall", "back")
+    for names, message in (("door",), "'door'"), (("relay_wall", "back", "plate"), "at least one surface"):
+        with pytest.raises(dg.InputError, match=message):
+            room(0.5).without(*names)
 
 
 def test_the_difference_is_the_objects_own_light_and_its_shadow() -> None:
@@ -142,18 +140,13 @@ def test_the_fields_change_nothing_else() -> None:
 
 def test_a_dataset_has_it_everywhere(built: Path, tmp_path: Path) -> None:
     assert verify(built, deep=True).problems == ()
-    assert resimulate(built, 3)[1] == []
+    assert resimulate(built, 1)[1] == []
     data = dg.TransientDataset(built, FIELDS)
-    made = list(dg.GeneratedDataset(config(), FIELDS))
-    for index, item in enumerate(made):
-        for name in FIELDS:
-            assert np.array_equal(data[index][name].numpy(), item[name].numpy())
     assert data.stats["background_histogram"]["mean"] > 0
     assert "background_histogram" in (built / "README.md").read_text()
     (file,) = export(built, tmp_path, "npz", scenes="1")
     with np.load(file) as stored:
         assert np.array_equal(stored["background_histogram"], data[1]["background_histogram"].numpy())
-    export(built, tmp_path, "mat", scenes="1", field="background_histogram")
 
 
 def test_fresh_noise_is_that_of_both(built: Path) -> None:

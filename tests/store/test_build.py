@@ -20,7 +20,6 @@ from fake_samples import (
     build_fakes,
     dies_at_5,
     dies_once_at_5,
-    dies_once_at_5_and_tells,
     fake_sample,
     large_config,
     small_config,
@@ -29,7 +28,6 @@ from fake_samples import (
 from here_and_now import one_worker_here
 
 from datagen.building.build import parse_shards
-from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store import running_path, verify
 
@@ -56,10 +54,9 @@ def whole(pristine: Path) -> dict[str, bytes]:
     return content(pristine)
 
 
-@pytest.mark.parametrize("workers", [2, 4])
-def test_more_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path, workers: int) -> None:
-    """Three shards: two workers share two of them, four all."""
-    build_fakes(small_config(), tmp_path / "set", workers)
+def test_more_workers_write_the_same_bytes(whole: dict[str, bytes], tmp_path: Path) -> None:
+    """Four workers share all scenes of the three shards."""
+    build_fakes(small_config(), tmp_path / "set", 4)
     assert content(tmp_path / "set") == whole
 
 
@@ -77,11 +74,6 @@ def test_shards_built_one_by_one_make_the_same_dataset(whole: dict[str, bytes], 
     assert "Incomplete" in (root / "README.md").read_text()
     build_fakes(small_config(), root, shards="0-1")
     assert content(root) == whole
-
-
-def with_fakes() -> dict[str, str]:
-    """An environment in which another process can import the fake samples."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
 
 
 def test_building_again_changes_nothing(whole: dict[str, bytes], dataset: Path) -> None:
@@ -111,8 +103,6 @@ def test_another_configuration_is_refused_and_nothing_changes(whole: dict[str, b
     root = dataset
     with pytest.raises(InputError, match=r"capture\.time\.bins = 16, this configuration has 17"):
         build_fakes(small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 17}}), root)
-    with pytest.raises(InputError, match=r"seed = 3, this configuration has 4"):
-        build_fakes(small_config(seed=4), root)
     with pytest.raises(InputError, match=r"store\.fields\[1\] = 'transient', this configuration has 'albedo'"):
         store = {"fields": ["histogram", "albedo", "depth"], "scenes_per_shard": 4}
         build_fakes(small_config(store=store), root)
@@ -130,51 +120,21 @@ def test_folders_of_other_files_are_refused_and_stay_as_they_are(tmp_path: Path)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["dataset.json", "other", "thesis.tex"]
 
 
-def test_outputs_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.touch()
-    with pytest.raises(InputError, match="is a file, not a folder"):
-        build_fakes(small_config(), file)
-    with pytest.raises(InputError, match="is a file, not a folder"):
-        build_fakes(small_config(), file / "below" / "set")
-    with pytest.raises(InputError, match="cannot be written"):
-        build_fakes(small_config(), Path("/proc/datagen-test"))
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_bad_input_creates_nothing(tmp_path: Path) -> None:
-    def refuse(config: DatasetConfig) -> None:
-        raise InputError("scene: no such room")
-
-    with pytest.raises(InputError, match="no such room"):
-        build_fakes(small_config(), tmp_path / "a/b", input_check=refuse)
-    for workers, options, message in (
-        (0, {}, "--workers 0: must be ≥ 1"),
-        (1, {"engine": "slurm"}, "--engine slurm: must be local or dask"),
-        (1, {"scheduler": "tcp://host:1"}, "only --engine dask has a scheduler"),
-        (1, {"shards": "2-3"}, "has the shards 0-2"),
-        (1, {"scenes": 0}, "--scenes 0: must be ≥ 1"),
-    ):
-        with pytest.raises(InputError, match=message):
-            build_fakes(small_config(), tmp_path / "a/b", workers, **options)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_build_where_every_scene_fails_stops_early(tmp_path: Path) -> None:
     with pytest.raises(CheckError, match=r"all of the first 8 scenes failed.*scene 4: impossible"):
         build_fakes(small_config(scenes=400), tmp_path / "set", sample_function=always_fails)
 
 
-def test_a_worker_that_dies_is_replaced(whole: dict[str, bytes], tmp_path: Path) -> None:
-    root = tmp_path / "set"
-    config = small_config(description=str(tmp_path / "remembered"))
-    build_fakes(config, root, 2, sample_function=dies_once_at_5)
-    assert (tmp_path / "remembered").exists()
-    described = ("dataset.json", "README.md", "croissant.json")
-    got, wanted = content(root), dict(whole)
-    assert {k: v for k, v in got.items() if k not in described} == {
-        k: v for k, v in wanted.items() if k not in described
-    }
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_worker_that_dies_is_replaced_and_costs_one_scene(
+    whole: dict[str, bytes], tmp_path: Path, workers: int
+) -> None:
+    """One worker makes a shard of four scenes and dies over the second: the first is not made again."""
+    begun = tmp_path / "begun"
+    build_fakes(small_config(description=str(begun)), tmp_path / "set", workers, sample_function=dies_once_at_5)
+    assert workers > 1 or begun.read_text().split() == [str(k) for k in (0, 1, 2, 3, 4, 5, *range(5, 12))]
+    described, found = ("dataset.json", "README.md", "croissant.json"), content(tmp_path / "set")
+    assert {**whole, **{name: found[name] for name in described}} == found
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -182,13 +142,6 @@ def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path, workers: int
     with pytest.raises(CheckError, match=r"1 of 8 scenes.*scene 5: 2 worker processes died over it"):
         build_fakes(small_config(scenes=8), tmp_path / "set", workers, sample_function=dies_at_5)
     assert len(verify(tmp_path / "set").problems) == 1
-
-
-def test_a_dead_worker_costs_one_scene(tmp_path: Path) -> None:
-    """One worker makes a shard of four scenes and dies over the second: the first is not made again."""
-    config = small_config(description=str(tmp_path / "remembered"), scenes=8)
-    build_fakes(config, tmp_path / "set", 1, sample_function=dies_once_at_5_and_tells)
-    assert (tmp_path / "remembered").read_text().split() == ["0", "1", "2", "3", "4", "5", "5", "6", "7"]
 
 
 def test_workers_begin_with_their_modules_imported_and_one_thread() -> None:
@@ -199,7 +152,8 @@ def test_workers_begin_with_their_modules_imported_and_one_thread() -> None:
         '    asked = \'("colorsys" in __import__("sys").modules, __import__("os").environ["OMP_NUM_THREADS"])\'\n'
         "    assert [running.submit(eval, asked).result() for _ in range(2)] == [(True, '1')] * 2\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=300, env=with_fakes())
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300, env=environment)
 
 
 def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,30 +8,25 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from fake_samples import fake_sample, small_config
+from fake_samples import fake_sample
+from kills import many_shards
 
 from datagen.building.build import build
 from datagen.config import DatasetConfig
-from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.store.verify import dataset_digest
 
 PATIENCE_S = 120.0
 CHILD = """
 import sys
-from test_dask_clusters import many_shards, unhurried
+from kills import many_shards
+from test_dask_clusters import unhurried
 from datagen.building.build import build
 build(many_shards(), sys.argv[1], engine="dask", scheduler=sys.argv[2], sample_function=unhurried)
 """
-
-
-def many_shards() -> DatasetConfig:
-    return small_config(scenes=40, store={"fields": ["histogram", "depth"], "scenes_per_shard": 1})
 
 
 def unhurried(config: DatasetConfig, index: int) -> Sample:
@@ -51,24 +46,20 @@ class Cluster:
         quick = {"DASK_DISTRIBUTED__WORKER__MULTIPROCESSING_METHOD": "forkserver"}
         here = {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *filter(None, sys.path)])}
         self.folder, self.environment = folder, os.environ | quick | here
-        self.running: list[subprocess.Popen[bytes]] = []
         self.begin()
 
     def begin(self) -> None:
         """Both, anew."""
-        self._start("distributed.cli.dask_scheduler", "--host", self.address)
-        self._start("distributed.cli.dask_worker", self.address, "--nthreads", "1", "--death-timeout", "60")
-
-    def _start(self, module: str, *arguments: str) -> None:
-        command = [sys.executable, "-m", module, *arguments, "--no-dashboard"]
-        with open(self.folder / f"{module}.log", "ab") as log:
-            self.running.append(
-                subprocess.Popen(command, env=self.environment, cwd=self.folder, stdout=log, stderr=log)
+        self.running = [
+            subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.dask_{part}", *arguments, "--no-dashboard"],
+                env=self.environment, cwd=self.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )
-
-    def lose(self) -> None:
-        """Its scheduler, at once."""
-        self.running[0].kill()
+            for part, arguments in (
+                ("scheduler", ["--host", self.address]),
+                ("worker", [self.address, "--nthreads", "1", "--death-timeout", "60"]),
+            )
+        ]  # fmt: skip
 
     def end(self) -> None:
         for process in self.running:
@@ -79,43 +70,28 @@ class Cluster:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-        self.running.clear()
-
-
-@contextmanager
-def build_on(cluster: Cluster, out: Path) -> Iterator[subprocess.Popen[str]]:
-    running = subprocess.Popen(
-        [sys.executable, "-c", CHILD, str(out), cluster.address], env=cluster.environment, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
-    try:
-        yield running
-    finally:
-        running.kill()
-        running.wait()
 
 
 @pytest.mark.nightly
 def test_a_cluster_whose_scheduler_is_lost_ends_with_the_same_dataset(tmp_path: Path) -> None:
     cluster = Cluster(tmp_path)
     try:
-        with build_on(cluster, tmp_path / "set") as running:
-            last = time.monotonic() + PATIENCE_S
-            while len(list(tmp_path.glob("set/build/shard-*.json"))) < 5:
-                assert time.monotonic() < last and running.poll() is None, running.communicate()
-                time.sleep(0.05)
-            cluster.lose()
-            cluster.end()
-            cluster.begin()
-            _, said = running.communicate(timeout=PATIENCE_S)
+        command = [sys.executable, "-c", CHILD, str(tmp_path / "set"), cluster.address]
+        with subprocess.Popen(command, env=cluster.environment, text=True, stderr=subprocess.PIPE) as running:
+            try:
+                last = time.monotonic() + PATIENCE_S
+                while len(list(tmp_path.glob("set/build/shard-*.json"))) < 5:
+                    assert time.monotonic() < last and running.poll() is None, running.communicate()
+                    time.sleep(0.05)
+                cluster.running[0].kill()
+                cluster.end()
+                cluster.begin()
+                _, said = running.communicate(timeout=PATIENCE_S)
+            finally:
+                running.kill()
         assert running.returncode == 0, said
         assert f"the scheduler {cluster.address} was lost; waiting" in said and "Traceback" not in said
     finally:
         cluster.end()
     build(many_shards(), tmp_path / "here", sample_function=fake_sample, progress=False)
     assert dataset_digest(tmp_path / "set") == dataset_digest(tmp_path / "here")
-
-
-def test_an_encrypted_address_without_certificates_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"--scheduler tls://127\.0\.0\.1:1: no Dask scheduler answers there"):
-        build(many_shards(), tmp_path / "no", engine="dask", scheduler="tls://127.0.0.1:1", progress=False)

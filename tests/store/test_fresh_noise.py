@@ -85,10 +85,6 @@ class Augmented(Dataset[dict[str, torch.Tensor]]):
         return self.data[item]
 
 
-def pickled(data: TransientDataset) -> TransientDataset:
-    return pickle.loads(pickle.dumps(data))  # type: ignore[no-any-return]
-
-
 def loaders(data: TransientDataset) -> Iterator[tuple[str, Any]]:
     """(name, loaders) of different ways to read a dataset, or some of its scenes, with one loader for each epoch."""
 
@@ -98,25 +94,20 @@ def loaders(data: TransientDataset) -> Iterator[tuple[str, Any]]:
     def made_anew(**options: Any) -> Iterator[Any]:
         return (DataLoader(data, 5, **options) for _ in range(EPOCHS))
 
-    part, _ = random_split(data, [8, 4], torch.Generator().manual_seed(0))
     fork: dict[str, Any] = {"num_workers": 2, "multiprocessing_context": "fork"}
     yield "plain", alive(DataLoader(data, 5))
-    yield "workers", alive(DataLoader(data, 5, **fork))
     yield "persistent workers", alive(DataLoader(data, 3, shuffle=True, persistent_workers=True, **fork))
-    yield "Subset", alive(DataLoader(Subset(data, [7, 1, 4]), 2))
-    yield "random_split, persistent workers", alive(DataLoader(part, 3, persistent_workers=True, **fork))
     yield "ConcatDataset", alive(DataLoader(ConcatDataset([Subset(data, [0, 5]), Subset(data, [3, 4])]), 3, **fork))
     yield "a wrapper", alive(DataLoader(Augmented(data), 5, persistent_workers=True, **fork))
-    yield "DistributedSampler", alive(DataLoader(data, 5, sampler=DistributedSampler(data, 1, 0)))
     # What Lightning does: a loader of the same dataset with a sampler of its own, at every fit.
     yield "an injected sampler", made_anew(sampler=DistributedSampler(data, 1, 0, shuffle=False), **fork)
     # Whoever is handed the dataset after the first epoch, such as a process, is handed where it stands.
-    yield "a copy by pickle", (DataLoader(one(data), 5) for one in (lambda of: of, pickled))
+    yield "a copy by pickle", (DataLoader(pickle.loads(pickle.dumps(data)) if k else data, 5) for k in range(2))
     spawned = DataLoader(data, 6, num_workers=1, multiprocessing_context="spawn")
     yield "a spawned worker", iter([DataLoader(data, 5), spawned])
 
 
-@pytest.mark.parametrize("number", [*range(10), pytest.param(10, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [*range(6), pytest.param(6, marks=pytest.mark.nightly)])
 def test_every_epoch_has_new_noise_without_a_call(data: TransientDataset, dataset: Path, number: int) -> None:
     name, each_epoch = list(loaders(data))[number]
     epochs = [epoch_of(loader) for loader in each_epoch]
@@ -137,14 +128,14 @@ def test_processes_of_distributed_training_draw_apart(dataset: Path, monkeypatch
     """Scenes change hands between two ranks from epoch to epoch; none has the same counts twice."""
     ranks = [TransientDataset(dataset, ("histogram",), redraw_noise=True) for _ in range(2)]
     epochs = []
-    for epoch in range(6):
+    for epoch in range(4):
         for rank, data in enumerate(ranks):
             monkeypatch.setenv("RANK", str(rank))
             sampler: DistributedSampler[Any] = DistributedSampler(data, 2, rank)
             sampler.set_epoch(epoch)
             epochs.append(epoch_of(DataLoader(data, 3, sampler=sampler, num_workers=rank)))
     hands = [{scene for noise in epochs[rank::2] for scene in noise} for rank in range(2)]
-    assert len(hands[0] & hands[1]) > 6 and all_new(epochs)
+    assert len(hands[0] & hands[1]) > 4 and all_new(epochs)
 
 
 def test_a_worker_started_afresh_keeps_its_rank(data: TransientDataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,16 +194,16 @@ def test_a_scene_read_twice_has_two_draws(data: TransientDataset, dataset: Path)
     assert len(set(counts)) == 40
 
 
-def taken_together(draws: DrawCounter, begin: Any, found: Any, times: int) -> None:
-    begin.wait()
-    found.put([number for _ in range(times) for number, _ in draws.take([1])])
-
-
 def test_no_two_processes_get_the_same_draw() -> None:
     """Two processes that read the same scene at once, as workers do when scenes are drawn with replacement."""
     context, draws, times = multiprocessing.get_context("fork"), DrawCounter(3), 10_000
     begin, found = context.Barrier(2), context.Queue()
-    both = [context.Process(target=taken_together, args=(draws, begin, found, times)) for _ in range(2)]
+
+    def take() -> None:
+        begin.wait()
+        found.put([number for _ in range(times) for number, _ in draws.take([1])])
+
+    both = [context.Process(target=take) for _ in range(2)]
     for process in both:
         process.start()
     numbers = sorted(found.get() + found.get())
@@ -224,12 +215,10 @@ def test_no_two_processes_get_the_same_draw() -> None:
 
 def test_memory_is_flat_over_epochs(tmp_path: Path) -> None:
     """With measured edges of a TDC, 0.26 MB for each detector that has a copy of its own."""
-    config = noisy_config()
-    width_ps = config.capture.time.bin_width_ps
-    random = np.random.default_rng(0)
-    inner = np.sort(random.uniform(0, 128 * width_ps, (64, 127)), axis=1)
-    edges = np.pad(inner, [(0, 0), (1, 1)], constant_values=[(0, 0), (0, 128 * width_ps)])
-    config = noisy_config(tdc_edges_ps=tuple(tuple(row) for row in edges.tolist()))
+    edges = np.sort(np.random.default_rng(0).uniform(0, 1, (64, 129)), axis=1)
+    edges[:, 0], edges[:, -1] = 0, 1
+    edges *= 128 * noisy_config().capture.time.bin_width_ps
+    config = noisy_config(tdc_edges_ps=tuple(map(tuple, edges.tolist())))
     data = TransientDataset(write_dataset(config, tmp_path / "set", fake_sample), ("histogram",), redraw_noise=True)
     loader = DataLoader(data, 1, sampler=EpochSampler(data))
     data[0]
@@ -260,13 +249,14 @@ def test_orders_come_from_a_stream_of_their_own(monkeypatch: pytest.MonkeyPatch)
     assert shuffled.isdisjoint(tuple(order) for _ in range(6))
 
 
-def test_workers_that_outlive_an_epoch_see_it_fixed(data: TransientDataset) -> None:
+def test_workers_that_outlive_an_epoch_see_it_fixed(data: TransientDataset, dataset: Path) -> None:
     loader = DataLoader(data, 12, num_workers=1, persistent_workers=True, multiprocessing_context="fork")
-    epochs = []
     for epoch in (0, 1, 0):
         data.set_epoch(epoch)
-        epochs.append(epoch_of(loader))
-    assert alike(epochs[0], epochs[2]) and all_new(epochs[:2])
+        assert alike(epoch_of(loader), draws_of(dataset, epoch))
+
+
+def test_epochs_and_items_that_are_none_are_refused(data: TransientDataset) -> None:
     for wrong in (-1, 1.5, 2**70):
         with pytest.raises(InputError, match=f"epoch = {wrong}: must be a whole number"):
             data.set_epoch(wrong)  # type: ignore[arg-type]

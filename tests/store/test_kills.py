@@ -18,18 +18,14 @@ def quiet() -> Iterator[None]:
 
 
 def check(outcome: harm.Outcome, harms: int) -> None:
-    assert outcome["harmed"] >= harms, "the steps ran out"
+    assert outcome["harmed"] >= harms
     assert not any(outcome[key] for key in ("lost", "silent", "traceback")), outcome
 
 
 @pytest.mark.parametrize("mending", [False, True], ids=["a build", "mending"])
-@pytest.mark.parametrize(
-    "steps", [range(10, 800, 80), pytest.param(range(800), marks=pytest.mark.nightly)], ids=["some", "every step"]
-)
-def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, steps: range, mending: bool) -> None:
-    outcome = harm.kills_between_steps(iter(steps), tmp_path, mending)
-    assert outcome["harmed"] < len(steps), "the steps ran out before the build did"
-    check(outcome, 2)
+@pytest.mark.parametrize("number", [3, pytest.param(None, marks=pytest.mark.nightly)], ids=["some", "every step"])
+def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, number: int | None, mending: bool) -> None:
+    check(harm.kills_between_steps(number, tmp_path, mending), number or 50)
 
 
 @pytest.mark.parametrize("kind", harm.CORRUPTED)

@@ -12,7 +12,6 @@ from datagen.config import config_from_mapping
 from datagen.labels.frame import ViewFrame
 from datagen.records import Rectangle
 from datagen.store.info import info
-from datagen.store.summaries import label_place_line
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -39,10 +38,3 @@ def test_datasets_say_where_their_labels_lie(tmp_path: Path, place: str, says: s
         middle = frame.to_view(item["laser_points"].numpy().astype(float)).mean(axis=0)
         found = [data.parameters(f"labels.scan_{way}_m")[k] for way in ("right", "up")]
         assert found == pytest.approx(middle[:2], abs=1e-5)
-
-
-def test_the_line_follows_from_the_parameters() -> None:
-    assert label_place_line([]) == label_place_line([{"attempts": 1}]) == ""
-    assert "over the scan" in label_place_line([{"labels.scan_right_m": 0.004, "labels.scan_up_m": 0.0}])
-    line = label_place_line([{"labels.scan_right_m": x, "labels.scan_up_m": 0.1} for x in (-1.0, 2.0, 1.5)])
-    assert "lie 1 … 2 m beside the scan" in line and "(median 1.5 m)" in line and "up to 0.1 m above" in line

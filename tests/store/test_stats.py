@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import zarr
 from damage import reseal
 from datasets import write_dataset
@@ -18,7 +17,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import datagen as dg
-from datagen.errors import InputError
 from datagen.store import verify
 from datagen.store.stats import QUANTITIES, FieldStats, pooled, stats_of
 
@@ -103,22 +101,3 @@ def test_a_dataset_says_what_it_is(dataset: Path) -> None:
         "histogram, drawn anew at every read (4, 1, 16), depth (4, 5))"
     )
     assert "\n" not in repr(data) and "12 scenes; depth (4, 5)" in repr(dg.TransientDataset(dataset, ("depth",)))
-
-
-def test_items_are_numbers(dataset: Path) -> None:
-    data = dg.TransientDataset(dataset, ("depth",))
-    for number in (2, np.int64(2), torch.tensor(2), -10):
-        assert int(data[number]["scene"]) == 2  # type: ignore[index]
-    for wrong, piece in (
-        (slice(0, 3), "Subset` has several"),
-        ([1, 2], "has several"),
-        (1.0, "number$"),
-        ("a", "number$"),
-    ):
-        with pytest.raises(InputError, match=f"must be a whole.*{piece}") as refused:
-            data[wrong]  # type: ignore[index]
-        assert "\n" not in str(refused.value)
-    for outside in (12, -13):
-        with pytest.raises(IndexError, match=f"item {outside}: this dataset has 12 items"):
-            data[outside]
-    assert len(list(data)) == 12, "a loop ends where the items do"

@@ -4,17 +4,17 @@ and nothing outside of the folder is touched."""
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import numpy as np
 import pytest
-from damage import reseal
+from damage import reseal, told
 from fake_samples import build_fakes, small_config
+from limits import little_memory
 
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
@@ -23,30 +23,6 @@ from datagen.store import verify
 from datagen.store.info import info
 
 pytestmark = pytest.mark.usefixtures("builds_here")
-
-
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("untrusted") / "set"
-    build_fakes(small_config(scenes=5), root)
-    return root
-
-
-@pytest.fixture
-def dataset(pristine: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "set")
-
-
-@contextmanager
-def little_memory(more_bytes: int = 2**30) -> Iterator[None]:
-    """No more address space than so many bytes beyond what is used now."""
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (used + more_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 def field(**changes: Any) -> Callable[[dict[str, Any]], object]:
@@ -153,22 +129,13 @@ def test_files_without_end_are_not_read_to_it(dataset: Path) -> None:
             path = dataset / name
             kept = path.read_bytes()
             os.truncate(path, 2**36)
-            assert verify_problems(dataset) != ()
-            path.unlink()
-            path.symlink_to("/dev/zero")
-            assert verify_problems(dataset) != ()
-            path.unlink()
-            os.mkfifo(path)
-            assert verify_problems(dataset) != ()
+            assert told(lambda: verify(dataset, deep=True).problems) != ()
+            for endless in (lambda of: of.symlink_to("/dev/zero"), os.mkfifo):
+                path.unlink()
+                endless(path)
+                assert told(lambda: verify(dataset, deep=True).problems) != ()
             path.unlink()
             path.write_bytes(kept)
-
-
-def verify_problems(dataset: Path) -> tuple[str, ...]:
-    try:
-        return verify(dataset, deep=True).problems
-    except InputError as error:
-        return (str(error),)
 
 
 def test_a_record_names_its_own_files_only(dataset: Path) -> None:
@@ -185,9 +152,9 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
     """Only shards that exist are read, whatever number the manifest claims."""
     reseal(dataset / "dataset.json", scenes(100_000_000))
     problems = verify(dataset).problems
-    assert len(problems) < 5 and any(problem.startswith("shards 2-24999999: not there") for problem in problems)
+    assert len(problems) < 5 and any(problem.startswith("shards 3-24999999: not there") for problem in problems)
     assert "of 100000000" in info(dataset)
-    with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
+    with pytest.raises(InputError, match=r"24999997 of 25000000 shards are not committed, the first is 3"):
         TransientDataset(dataset)
     with pytest.raises(InputError, match="must be ≥ 1 and ≤ 100000000"):
         build_fakes(small_config(), dataset.parent / "new", scenes=10**12)
@@ -195,8 +162,6 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
 
 def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
     """The checksum is right, and blosc itself would trust the length in the chunk's header."""
-    import google_crc32c
-
     path = dataset / "data.zarr/laser_points/c/0/0/0"
     body = bytearray(path.read_bytes()[:-4])
     for place, value in ((4, 2**31 - 1), (12, 10**6)):
@@ -205,11 +170,12 @@ def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> Non
         for check in (True, False):
             with little_memory(), pytest.raises(CheckError, match="belong"):
                 TransientDataset(dataset, ("laser_points",), check=check)[0]
+    os.truncate(path, 2**36)
+    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
+        TransientDataset(dataset, ("laser_points",), check=False)[0]
 
 
 def test_an_index_that_asks_for_much_gets_nothing(dataset: Path) -> None:
-    import google_crc32c
-
     path = dataset / "data.zarr/histogram/c/0/0/0/0"
     data = path.read_bytes()
     index = np.frombuffer(data[-68:-4], "<u8").copy()
@@ -236,7 +202,7 @@ def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path
         (dataset / "data.zarr/depth/c/0/0/0").write_bytes(b"mine")
     before = snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside)
     with pytest.raises(InputError, match="is a symbolic link"):
-        build_fakes(small_config(scenes=5), dataset)
+        build_fakes(small_config(), dataset)
     # Found before anything is touched, but for what only the writer of a shard looks at.
     assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
 
@@ -246,17 +212,17 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     outside.write_text("years of work")
     (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
     (dataset / "README.md").unlink()
-    build_fakes(small_config(scenes=5), dataset)
+    build_fakes(small_config(), dataset)
     (dataset / "build/shard-000000.running").symlink_to(outside)
     (dataset / "build/shard-000000.json").unlink()
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
-        build_fakes(small_config(scenes=5), dataset)
+        build_fakes(small_config(), dataset)
     assert outside.read_text() == "years of work"
 
 
 def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(dataset)
-    build_fakes(small_config(scenes=5), tmp_path / "link")
+    build_fakes(small_config(), tmp_path / "link")
     assert verify(tmp_path / "link").problems == ()
 
 
@@ -269,7 +235,9 @@ def test_no_escape_sequence_reaches_a_terminal_or_the_card(
     for command in ("verify", "info"):
         run([command, str(dataset)])
     run(["info", str(tmp_path / evil)])
-    build_fakes(small_config(scenes=1, name=evil, description=evil), tmp_path / "new")
+    described = small_config(scenes=1, name=evil, description=f"\r{evil}\r\ntwo\u2028")
+    build_fakes(described, tmp_path / "new")
+    assert verify(tmp_path / "new").problems == () and build_fakes(described, tmp_path / "new").built == 0
     shown = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
     assert "owned" in shown and not [c for c in shown if c != "\n" and not c.isprintable()]
 
@@ -284,7 +252,6 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     ("text", "piece"),
     [
         (BOMB, "aliases make it hold 100000 values"),
-        ("scene: &a {contents: [*a]}", "aliases make it hold"),
         ("seed: " + "9" * 5000, "4300 digits"),
         ("seed: 0x" + "f" * 5000, "4300 digits"),
         ("scene: " + "[" * 900, "nested too deeply"),
@@ -303,9 +270,3 @@ def test_a_hostile_configuration_is_one_line(
         out, err = capsys.readouterr()
         assert out == "" and err.count("\n") == 1 and piece in err
     assert os.listdir(tmp_path) == ["c.yaml"]
-
-
-def test_a_file_that_is_larger_than_its_values_is_not_read(dataset: Path) -> None:
-    os.truncate(dataset / "data.zarr/laser_points/c/0/0/0", 2**36)
-    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
-        TransientDataset(dataset, ("laser_points",), check=False)[0]
