@@ -23,7 +23,7 @@ def check(outcome: harm.Outcome, harms: int) -> None:
 
 
 @pytest.mark.parametrize("mending", [False, True], ids=["a build", "mending"])
-@pytest.mark.parametrize("number", [3, pytest.param(None, marks=pytest.mark.nightly)], ids=["some", "every step"])
+@pytest.mark.parametrize("number", [7, pytest.param(None, marks=pytest.mark.nightly)], ids=["some", "every step"])
 def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, number: int | None, mending: bool) -> None:
     check(harm.kills_between_steps(number, tmp_path, mending), number or 50)
 
