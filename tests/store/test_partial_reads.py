@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -132,7 +131,7 @@ def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     """The first read compares the digest of the whole value; later reads check the checksums of chunks."""
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
     root = write_dataset(config_of("confocal", 4, 4, (1, 1), 64), tmp_path / "set", fake_sample)
-    first, second = (root / f"data.zarr/histogram/c/{shard}/0/0/0" for shard in (0, 1))
+    first = root / "data.zarr/histogram/c/0/0/0/0"
     sound, manifest = first.read_bytes(), read_manifest(root)
     part = Part((np.arange(3), np.arange(1)), slice(0, 64))
     seen = {"histogram": np.zeros(3, bool)}
@@ -153,14 +152,10 @@ def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     refused("decodes to other values than were written")
     swapped = DatasetReader(root, manifest, ["histogram"], check=False).read("histogram", [0], part=part)
     assert np.array_equal(swapped, value), "found by the digest alone"
-    shutil.copy(second, first)
-    refused(r"bytes, \d+ were written")
     flipped = bytearray(sound)
     flipped[int(index[0, 0]) + 20] ^= 1
     first.write_bytes(flipped)
     refused("scene 1: the checksum does not match", check=False)
-    first.unlink()
-    refused("cannot be opened", check=False)
 
 
 def test_wrong_crops_are_refused(one: Path, tmp_path: Path) -> None:
