@@ -69,10 +69,12 @@ class Apart:
     Attributes
     ----------
     scene : the scene, the given one if nothing was moved.
+    caster : of its triangles.
     lying : (part, part that it lies on), each pair once.
     """
 
     scene: Scene
+    caster: Raycaster
     lying: tuple[tuple[str, str], ...]
 
     @property
@@ -94,10 +96,9 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
     def rank(part: int) -> tuple[bool, int]:
         return scene.roles[part] == "object", part
 
-    shared = list(shared_planes(scene))
+    caster, shared = Raycaster(scene), list(shared_planes(scene))
     if not shared:
-        return Apart(scene, ())
-    caster = Raycaster(scene)
+        return Apart(scene, caster, ())
     sources = _sources(caster, capture)
     shared.sort(key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
     lit = [_lit(caster, shared[k : k + PLANES_AT_ONCE], sources) for k in range(0, len(shared), PLANES_AT_ONCE)]
@@ -121,7 +122,7 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         pair = scene.part_names[upper], scene.part_names[lower]
         lying += [pair] if pair not in lying else []
     if not moves:
-        return Apart(scene, ())
+        return Apart(scene, caster, ())
     shift = np.zeros((len(vertices), 3))
     for part in sorted({part for part, _, _ in moves}):
         own = np.flatnonzero(scene.face_part == part)
@@ -133,12 +134,13 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
             np.concatenate([shift, np.zeros((len(used), 3))]),
         )
     for _, rows, move in moves:
-        moved = np.unique(triangles[rows])
+        used = np.unique(triangles[rows])
         length = float(np.linalg.norm(move))
         # A plane may have been found twice, and a corner lies in several planes.
-        missing = length - shift[moved] @ (move / length)
-        shift[moved] += np.maximum(missing, 0.0)[:, None] * (move / length)
-    return Apart(replace(scene, vertices=vertices + shift, triangles=triangles), tuple(lying))
+        missing = length - shift[used] @ (move / length)
+        shift[used] += np.maximum(missing, 0.0)[:, None] * (move / length)
+    moved = replace(scene, vertices=vertices + shift, triangles=triangles)
+    return Apart(moved, Raycaster(moved), tuple(lying))
 
 
 def _sources(caster: Raycaster, capture: Capture) -> Floats:
