@@ -12,8 +12,6 @@ import trimesh
 
 from datagen.config import SceneConfig, config_from_mapping
 from datagen.errors import InputError
-from datagen.records import Scene
-from datagen.scene import generate_scene
 from scene_library.materials import MATERIALS
 from scene_library.objects import CLASSES, GROUPS
 
@@ -225,13 +223,3 @@ def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
         except InputError as error:
             # Only what no draw can meet, such as a device always above the ceiling, may be refused at reading.
             assert "≥" in str(error) or "at least" in str(error), error
-
-
-def random_scene(rng: np.random.Generator, kind: str, seed: int, index: int) -> tuple[SceneConfig, Scene]:
-    """Settings and a scene of them, the first for which there is one."""
-    while True:
-        spec = random_spec(rng, kind)
-        try:
-            return spec, generate_scene(spec, seed, index)
-        except InputError:
-            continue

@@ -14,7 +14,8 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from datagen.capture import capture_for
-from datagen.config import config_from_mapping
+from datagen.config import SceneConfig, config_from_mapping
+from datagen.config.distributions import support
 from datagen.errors import InputError
 from datagen.records import Scene
 
@@ -203,6 +204,62 @@ def _sees_some(scene: Scene, name: str, rng: np.random.Generator) -> bool:
     return bool((crossing_counts(scene.corners, near_wall, near_it) == 0).any())
 
 
+def assert_frames_hold_the_objects(scene: Scene) -> None:
+    """Bounds and view hold every object; view and visible part lie in the relay wall's plane and face the room."""
+    low, high = scene.hidden_bounds
+    view = scene.hidden_view
+    for name in object_names(scene):
+        corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+        assert (corners >= low - 1e-9).all() and (corners <= high + 1e-9).all(), name
+        across = (corners - view.center) @ view.right
+        assert (np.abs(across) <= view.right @ view.right * (1 + 1e-9)).all(), name
+    # An uneven wall lies behind the plane.
+    wall = scene.corners[scene.faces_of("relay_wall")]
+    assert np.ptp(wall[..., 0]) == 0 or "relay_wall.kind" in scene.parameters
+    for rectangle in (scene.relay_wall, view):
+        np.testing.assert_allclose(rectangle.corners[:, 0], wall[..., 0].min())
+        np.testing.assert_allclose(rectangle.normal, [-1, 0, 0], atol=1e-12)
+
+
+def assert_no_more_is_visible(scene: Scene) -> None:
+    """Just beyond each side of the visible part, and above it, the wall is out of sight or has ended."""
+    wall = scene.relay_wall
+    surface = scene.corners[scene.faces_of("relay_wall")]
+    # Under a lintel that is out of square the rectangle ends at the lowest of the sight lines.
+    above = [] if "layout.wall_0_turned_deg" in scene.parameters else [wall.up]
+    for beyond in (wall.right, -wall.right, *above):
+        edge = wall.center + (1 + 1e-3) * beyond
+        before, behind = (edge + far * (scene.device_position - edge) for far in (1e-4, -1e-4))
+        hidden = crossing_counts(scene.corners, scene.device_position[None], before[None]).any()
+        assert hidden or not crossing_counts(surface, before[None], behind[None]).any()
+
+
+def assert_as_declared(spec: SceneConfig, scene: Scene) -> None:
+    """Parameters lie in their ranges, and the triangles and materials are those of the parameters."""
+    p = scene.parameters
+    declared = {f"layout.{name}": of for name, of in spec.layout.dimensions().items()}
+    declared |= {n: spec.layout.out_of_square_deg for n, of in p.items() if n.endswith("_turned_deg") and of != 0}
+    for name, distribution in declared.items():
+        low, high = support(distribution)
+        assert low <= p[name] <= high, name
+    for name in ("floor", "ceiling"):
+        assert (name in scene.part_names) == getattr(spec.layout, name)
+    for name, material in zip(scene.part_names, scene.materials, strict=True):
+        assert p[f"{name}.albedo"] == material.albedo
+    np.testing.assert_allclose(np.ptp(scene.vertices[:, 2]), p["layout.height_m"], rtol=1e-12)
+    for name in object_names(scene):
+        corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+        np.testing.assert_allclose(np.ptp(corners[:, 2]), p[f"{name}.height_m"], rtol=1e-9)
+        # Along its own axes the object is as wide and deep as was drawn, and stands where the pose says.
+        turn = np.radians(p[f"{name}.rotation_deg"])
+        axis = np.array([np.cos(turn), np.sin(turn)])
+        for unit, size in ((axis, "width_m"), (np.array([-axis[1], axis[0]]), "depth_m")):
+            reach = corners[:, :2] @ unit
+            np.testing.assert_allclose(np.ptp(reach), p[f"{name}.{size}"], rtol=1e-9)
+            place = unit @ [p[f"{name}.x_m"], p[f"{name}.y_m"]]
+            np.testing.assert_allclose((reach.min() + reach.max()) / 2, place, atol=1e-9)
+
+
 def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float | None = None) -> None:
     if scene.parameters["layout.kind"] != "isolated_wall":
         assert_closed_surface(scene)
@@ -213,6 +270,8 @@ def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float 
         assert_keeps_clear(scene, clearance_m)
     assert_hidden(scene, rng)
     assert_seen_from_wall(scene, rng)
+    assert_frames_hold_the_objects(scene)
+    assert_no_more_is_visible(scene)
 
 
 MISPLACED = ("behind the plane of the relay wall", "hides", "in plain sight", "outside the room")

@@ -8,7 +8,7 @@ import pytest
 from scene_library.polygons import boundary_distance, convex_hull, segments_of
 from scene_library.separation import gap_between, stays_clear
 
-PAIRS = 400
+PAIRS = 200
 
 
 def convex_gap(a: np.ndarray, b: np.ndarray) -> float:
@@ -24,22 +24,17 @@ def drawn_polygon(rng: np.random.Generator, corners: int) -> np.ndarray:
     return np.ascontiguousarray(convex_hull(rng.normal(size=(corners, 2)) + 4 * rng.random(2)))
 
 
-@pytest.mark.parametrize("corners", [(3, 3), (4, 7), (12, 3)])
-def test_gaps_equal_those_of_the_plain_form(corners: tuple[int, int]) -> None:
-    rng = np.random.default_rng(corners)
-    for _ in range(PAIRS):
-        a, b = (drawn_polygon(rng, count) for count in corners)
+def test_gaps_equal_those_of_the_plain_form() -> None:
+    """Of polygons one of whose edges has no length, too."""
+    rng = np.random.default_rng(3)
+    for pair in range(PAIRS):
+        a, b = (drawn_polygon(rng, count) for count in ((3, 3), (4, 7), (12, 3))[pair % 3])
+        a = np.concatenate([a[:1], a]) if pair % 5 == 0 else a
         gap = gap_between(a, b)
         assert gap == pytest.approx(convex_gap(a, b), abs=1e-12) == gap_between(b, a)
         # Never more than the true distance, and negative only where they meet.
         apart = boundary_distance(a, segments_of(b))
         assert gap <= apart + 1e-12
-
-
-def test_an_edge_without_length_separates_nothing() -> None:
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    degenerate = np.array([[2.0, 0.0], [2.0, 0.0], [3.0, 0.0], [3.0, 1.0]])
-    assert gap_between(square, degenerate) == pytest.approx(1.0) == convex_gap(square, degenerate)
 
 
 @pytest.mark.parametrize("margin_m", [0.0, 0.05, 0.5])
