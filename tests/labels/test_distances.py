@@ -28,16 +28,6 @@ def by_every_triangle(corners: np.ndarray) -> np.ndarray:
     return least
 
 
-def test_points_on_the_surface_have_distance_zero() -> None:
-    """A triangle through points of the grid, on its corners, on an edge and inside."""
-    corners = (START + STEP * np.array([[2, 3, 4], [2, 7, 4], [2, 3, 10]]))[None]
-    distance = Triangles(corners).distances(PLACES)
-    i, j, k = np.indices(SHAPE)
-    on_it = (i == 2) & (j >= 3) & (k >= 4) & (6 * (j - 3) + 4 * (k - 4) <= 24)
-    np.testing.assert_array_equal(distance < 1e-6, on_it)
-    np.testing.assert_allclose(distance, by_every_triangle(corners), **SINGLE)
-
-
 def test_any_triangles() -> None:
     """Alone and many, small and large; and meshes, where many triangles are equally near to an edge or a corner."""
     rng = np.random.default_rng(3)
@@ -48,6 +38,8 @@ def test_any_triangles() -> None:
     turn = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))[:3, :3]
     for mesh in (trimesh.creation.box((0.9, 0.6, 0.7)), trimesh.creation.torus(0.7, 0.2, 24, 12)):
         soups += [np.asarray(mesh.triangles) @ turn + place for place in ((0.1, -0.2, 0.05), (4.0, -3.0, 2.0))]
+    # A triangle through points of the grid, on its corners, on an edge and inside.
+    soups.append((START + STEP * np.array([[2, 3, 4], [2, 7, 4], [2, 3, 10]]))[None])
     for corners in soups:
         np.testing.assert_allclose(Triangles(corners).distances(PLACES), by_every_triangle(corners), **SINGLE)
 

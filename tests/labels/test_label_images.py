@@ -47,24 +47,6 @@ def test_box_has_its_front_depth_where_it_stands_and_zero_elsewhere() -> None:
     assert [labels[f].dtype for f in IMAGE_FIELDS] == [np.float32, np.float32, np.float32, np.int16]
 
 
-def test_sphere_depth_and_normal_follow_its_equation() -> None:
-    radius, center = 0.7, np.array([4.0, 2.2, 1.3])
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
-    ball.apply_translation(center)
-    labels = make_labels(CONFIG, free_space(Part("ball", ball, Lambertian(0.4))), ("depth", "normal"))
-    y, z = pixel_centers()
-    across = (y - center[1]) ** 2 + (z - center[2]) ** 2
-    inner = across < (0.9 * radius) ** 2
-    front = np.sqrt(np.maximum(radius**2 - across, 0))
-    assert abs(labels["depth"][inner] - (DISTANCE_M - center[0] - front[inner])).max() < 2e-3
-    outside = across > (1.001 * radius) ** 2
-    assert not labels["depth"][outside].any()
-    # Components along (right, up, wall normal) = (−y, z, −x) of the outward normal.
-    expected = np.stack([-(y - center[1]), z - center[2], -front], axis=-1) / radius
-    assert abs(labels["normal"] - expected)[inner].max() < 0.05
-    np.testing.assert_allclose(np.linalg.norm(labels["normal"][inner], axis=-1), 1, rtol=1e-6)
-
-
 def test_tilted_plane_is_exact_at_every_pixel_centre() -> None:
     plane = Rectangle.of((4.0, 2.5, 1.25), (0.8, -3, 0), (0.5, 0.2 * 0.8 / 1.2, 2.0))
     plane = Rectangle.of(plane.center, plane.right, np.cross(plane.normal, plane.right))

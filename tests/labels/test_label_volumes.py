@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,14 +13,12 @@ from handmade_rooms import box_mesh, l_corridor, rectangle_mesh
 from datagen.config import LabelsConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.labels import make_labels
-from datagen.labels.raster import cut_voxels
 from datagen.labels.solids import connected_surfaces
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Lambertian, Part, Rectangle, Scene
 
 BOUNDS = np.array([[3, 1, 0], [6, 4, 2.4]])
 CONFIG = LabelsConfig(voxels=(40, 36, 44))
-MESHES = Path(__file__).parents[3] / "shared" / "meshes"
 
 
 def scene_of(*meshes: trimesh.Trimesh) -> Scene:
@@ -161,30 +158,6 @@ def test_boxes_that_touch_are_united(other: trimesh.Trimesh) -> None:
     np.testing.assert_allclose(labels["sdf"][either > 0], either[either > 0], atol=1e-5)
 
 
-def _clipped(polygon: list[np.ndarray], axis: int, limit: float, sign: float) -> list[np.ndarray]:
-    """Sutherland and Hodgman: the part of a polygon on one side of an axis-aligned plane."""
-    kept = []
-    for a, b in zip(polygon, polygon[1:] + polygon[:1], strict=True):
-        here, there = sign * (a[axis] - limit), sign * (b[axis] - limit)
-        if here <= 0:
-            kept.append(a)
-        if here * there < 0:
-            kept.append(a + (b - a) * here / (here - there))
-    return kept
-
-
-def test_touched_voxels_contain_a_piece_of_the_triangle() -> None:
-    """The separating-axis test against clipping the triangle to every voxel."""
-    rng = np.random.default_rng(3)
-    for triangle in rng.uniform(-1, 5, (12, 3, 3)):
-        found = cut_voxels(triangle[None], (4, 4, 4))
-        for layer, row, column in np.ndindex(4, 4, 4):
-            piece = list(triangle)
-            for axis, low in enumerate((column, row, layer)):
-                piece = _clipped(_clipped(piece, axis, low + 1, 1), axis, low, -1)
-            assert found[layer, row, column] == bool(piece)
-
-
 def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     whole = ball()
     order = np.argsort(whole.triangles_center[:, 2])
@@ -196,25 +169,6 @@ def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     mended = make_labels(CONFIG, scene_of(chipped), ("occupancy",))["occupancy"]
     assert (reference != mended).sum() < 0.01 * reference.sum()
     assert (make_labels(CONFIG, scene_of(bowl), ("sdf",))["sdf"] >= 0).all()
-
-
-@pytest.mark.skipif(not MESHES.is_dir(), reason="the real meshes stay out of the repository")
-def test_range_scan_with_holes_counts_as_solid() -> None:
-    mesh = trimesh.load(MESHES / "stanford-bunny.obj", force="mesh", process=False)
-    mesh.apply_scale(6)
-    mesh.apply_translation(np.array([4.5, 2.5, 1.2]) - mesh.bounds.mean(axis=0))
-    (surface,) = connected_surfaces(mesh.triangles)
-    assert surface.closed
-    scene = scene_of(mesh)
-    fine = LabelsConfig(voxels=(120, 120, 96))
-    taken = make_labels(fine, scene, ("occupancy",))["occupancy"]
-    volume = taken.sum() * np.prod(VoxelGrid.of(scene, fine.voxels).voxel_m)
-    mended = trimesh.Trimesh(*_indexed(np.concatenate([surface.corners, surface.lid])), process=False)
-    assert volume == pytest.approx(abs(mended.volume), rel=0.01)
-
-
-def _indexed(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 def test_labels_are_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,20 +34,6 @@ def brute_force(point: np.ndarray, normal: np.ndarray, n: int = 1500) -> float:
     return float((cosines / (np.pi * square**2)).sum() * LAMP.area_m2 / n**2)
 
 
-def test_form_factor_of_a_rectangle_opposite_its_corner() -> None:
-    """A parallel patch below the corner of an a × b rectangle at distance c (Hottel & Sarofim, 1967)."""
-    a, b, c = 0.7, 1.3, 0.9
-    corners = np.array([[0, 0, c], [a, 0, c], [a, b, c], [0, b, c]])
-    x, y = a / c, b / c
-    known = (
-        x / np.sqrt(1 + x**2) * np.arctan(y / np.sqrt(1 + x**2))
-        + y / np.sqrt(1 + y**2) * np.arctan(x / np.sqrt(1 + y**2))
-    ) / (2 * np.pi)
-    up = np.array([[0.0, 0.0, 1.0]])
-    assert form_factors(np.zeros((1, 3)), up, corners)[0] == pytest.approx(known, rel=1e-12)
-    assert form_factors(np.zeros((1, 3)), -up, corners)[0] == 0
-
-
 def test_form_factor_of_a_lamp_that_the_horizon_cuts() -> None:
     rng = np.random.default_rng(2)
     for _ in range(3):

@@ -45,10 +45,8 @@ class Tally:
 
     def row(self, kind: str) -> str:
         rate = (self.rooms + self.refused) / max(self.seconds, 1e-9)
-        return (
-            f"| {kind} | {self.rooms} | {self.objects} | {self.refused} | {self.redrawn} | {self.moved} | "
-            f"{self.least_seen:.3f} | {rate:.0f} | {len(self.violations)} |"
-        )
+        counts = f"{self.rooms} | {self.objects} | {self.refused} | {self.redrawn} | {self.moved}"
+        return f"| {kind} | {counts} | {self.least_seen:.3f} | {rate:.0f} | {len(self.violations)} |"
 
 
 HEADER = (

@@ -7,6 +7,7 @@ nothing with the plan-view tests of `scene_library`.
 from __future__ import annotations
 
 from collections import Counter
+from itertools import combinations
 
 import numpy as np
 from crossing_counts import crossing_counts
@@ -18,6 +19,7 @@ from datagen.config import SceneConfig, config_from_mapping
 from datagen.config.distributions import support
 from datagen.errors import InputError
 from datagen.records import Scene
+from scene_library.polygons import convex_hull
 
 ROOM = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """The room's own parts; what else is no object is clutter before the relay wall."""
@@ -149,21 +151,35 @@ def assert_nothing_floats(scene: Scene) -> None:
             np.testing.assert_allclose([low, high], [0, height], atol=1e-9 * height, err_msg=name)
 
 
+def plan_gap(a: np.ndarray, b: np.ndarray) -> float:
+    """How far apart the convex hulls of two sets of points in plan are: the largest gap along a normal of an edge."""
+    a, b = convex_hull(a), convex_hull(b)
+    edges = np.concatenate([np.roll(polygon, -1, axis=0) - polygon for polygon in (a, b)])
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
+    pa, pb = normals @ a.T, normals @ b.T
+    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
+
+
 def assert_keeps_clear(scene: Scene, clearance_m: float) -> None:
-    """No corner of an object is nearer to a wall than the clearance; one placed at a wall is just as far from it."""
+    """No corner of an object is nearer to a wall than the clearance, and one placed at a wall is just as far from it;
+    objects are as far from each other, in plan or in height."""
     upright = room_triangles(scene, "relay_wall", "walls", "screen")
     upright = upright[np.ptp(upright[..., 2], axis=1) > 0]
     sides = np.roll(upright, -1, axis=1)[..., :2] - upright[..., :2]
     longest = np.linalg.norm(sides, axis=2).argmax(axis=1)
     start, along = upright[np.arange(len(upright)), longest, :2], sides[np.arange(len(upright)), longest]
-    for name in object_names(scene):
-        corners = np.unique(scene.corners[scene.faces_of(name)].reshape(-1, 3)[:, :2], axis=0)
-        offset = corners[:, None] - start
+    least = clearance_m * (1 - 1e-6) - 1e-9
+    placed = {name: scene.corners[scene.faces_of(name)].reshape(-1, 3) for name in object_names(scene)}
+    for name, points in placed.items():
+        offset = np.unique(points[:, :2], axis=0)[:, None] - start
         t = np.clip((offset * along).sum(-1) / (along**2).sum(-1), 0, 1)
         gap = float(np.linalg.norm(offset - t[..., None] * along, axis=-1).min())
-        assert gap > clearance_m * (1 - 1e-6) - 1e-9, f"{name}: {gap} m to the wall"
+        assert gap > least, f"{name}: {gap} m to the wall"
         if scene.parameters.get(f"{name}.placement") == "wall":
             assert gap < clearance_m * (1 + 1e-3) + 1e-6, f"{name}: {gap} m from the wall it stands against"
+    for (name, a), (other, b) in combinations(placed.items(), 2):
+        above = max(a[:, 2].min() - b[:, 2].max(), b[:, 2].min() - a[:, 2].max())
+        assert above > least or plan_gap(a[:, :2], b[:, :2]) > least, f"{name} is near {other}"
 
 
 def assert_hidden_from(scene: Scene, eye: np.ndarray, rng: np.random.Generator, points: int = 100) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 
-import datagen as dg
 from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
 from datagen.devices.compare import read_parts
@@ -18,7 +17,6 @@ from datagen.errors import InputError, InputWarning
 from scene_library.meshes import BadMesh, MeshOptions, read_mesh, unit_mesh
 from scene_library.polygon_files import Faces, read_obj, read_ply
 from scene_library.polygons import signed_area, triangulate
-from tests.rooms import one_point_capture, rectangle
 
 LETTER_C = np.array(
     [(0, 0), (1, 0), (1, 0.25), (0.25, 0.25), (0.25, 1.25), (1, 1.25), (1, 1.5), (0, 1.5)], np.float64
@@ -78,23 +76,6 @@ def test_a_notch_stays_open(tmp_path: Path, kind: str) -> None:
     assert area(mesh.vertices, front) == pytest.approx(0.75, rel=1e-12)
     # Closed, and wound one way: the volume is that of the prism.
     assert trimesh.Trimesh(mesh.vertices, mesh.triangles).volume == pytest.approx(0.075, rel=1e-12)
-
-
-def test_light_of_a_concave_face_is_that_of_its_triangles(tmp_path: Path) -> None:
-    """The C in the hidden part, from a file of one face of eight corners and from one of three rectangles."""
-    vertices = np.insert(LETTER_C, 1, 0.0, axis=1)
-    strips = [[0, 1, 2, 3], [0, 3, 4, 7], [4, 5, 6, 7]]
-    (tmp_path / "face.obj").write_bytes(obj(vertices, [list(range(8))]))
-    (tmp_path / "strips.obj").write_bytes(obj(vertices, strips))
-    light = []
-    for name in ("face.obj", "strips.obj"):
-        mesh = read_mesh(tmp_path / name)
-        # Upright, 1 m before the relay wall x = 0 and parallel to it.
-        c = trimesh.Trimesh(mesh.vertices[:, [1, 0, 2]] + (1, -0.5, 0.5), mesh.triangles, process=False)
-        wall = rectangle((0, 0, 1), (0, 2, 0), (0, 0, 2))
-        scene = dg.Scene.from_parts([dg.Part("wall", wall, dg.Lambertian(0.8)), dg.Part("c", c, dg.Lambertian(0.8))])
-        light.append(float(dg.simulate(scene, one_point_capture(), dg.Accuracy(target=0.005)).total.sum()))
-    assert light[0] == pytest.approx(light[1], rel=0.01)
 
 
 def test_triangles_cover_any_simple_outline_once() -> None:
