@@ -72,23 +72,6 @@ def test_the_letter_is_found_by_its_light_and_by_classical_methods(
         assert abs(np.median(depth[mask]) * SIDE - LETTER.depth) < 0.02
 
 
-def test_a_pulse_without_tail_is_as_wide_at_half_of_its_height(response: np.ndarray) -> None:
-    with_tail, without = (np.array(made["pulse_of"](response, 1.0, tail).samples) for tail in (True, False))
-    assert with_tail.argmax() == without.argmax() == made["BEFORE"]
-    assert abs((with_tail > with_tail.max() / 2).sum() - (without > without.max() / 2).sum()) <= 1
-    assert without[made["BEFORE"] + 30 :].sum() < 1e-6 * without.sum()
-
-
-def test_counts_have_the_level_and_the_floor_that_were_drawn(response: np.ndarray) -> None:
-    light = LETTER.arrivals(SIDE, made["BINS"] * made["STEPS"], made["BIN_S"] / made["STEPS"])
-    floors = {}
-    for floor in (True, False):
-        counts = made["counts_of"](light, response, made["Simulation"](floor=floor), 3)
-        assert counts.shape == (32, 32, made["BINS"]) and counts[..., 0].mean() > counts[..., 20:].mean()
-        floors[floor] = counts[..., -10:].mean()
-    assert floors[True] > 1 > floors[False]
-
-
 def test_a_network_learns_silhouette_and_depth() -> None:
     """Of discs in volumes without noise."""
     rng = np.random.default_rng(0)
