@@ -39,6 +39,8 @@ PLACES, LOOKED_FROM, RAYS = 16, 16, 16
 """Most places of a shared plane where light is looked for, most laser points that it is looked for from, and rays
 from a place that meet surfaces which may pass it on. They decide about places that are lit at all; a shared surface
 of which a tenth is lit is still found with half of each."""
+MOST_LOOKED_AT = 512
+"""Most triangles of a part in a plane, of those beside the other part's, that are looked at: a plane may have 10⁵."""
 PAIRS_AT_ONCE, PLANES_AT_ONCE = VALUES_AT_ONCE // 256, VALUES_AT_ONCE // 8192
 """Pairs of triangles that are compared at once, and shared planes whose rays are traced at once: each has so many
 numbers in memory."""
@@ -205,11 +207,22 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
     triangles = _Triangles.of(corners, normal)
     planes = np.column_stack([normal, np.einsum("nk,nk->n", normal, corners[:, 0])])
     for ones, twos in _in_one_plane(planes, part):
-        step = max(PAIRS_AT_ONCE // len(twos), 1)
-        batches = (ones[k : k + step] for k in range(0, len(ones), step))
-        places = np.concatenate([_common(triangles.take(some), triangles.take(twos)) for some in batches])
+        few, many = sorted((_beside(triangles, ones, twos), _beside(triangles, twos, ones)), key=len)
+        some = many[:: len(many) // MOST_LOOKED_AT + 1]
+        step = max(PAIRS_AT_ONCE // max(len(few), 1), 1)
+        batches = [some[k : k + step] for k in range(0, len(some), step)]
+        places = [_common(triangles.take(batch), triangles.take(few)) for batch in batches]
+        places = np.concatenate([np.zeros((0, 3)), *places])
         if len(places):
             yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
+
+
+def _beside(triangles: _Triangles, ones: Ints, twos: Ints) -> Ints:
+    """Those of `ones` that touch the box around all of `twos`."""
+    of_twos = triangles.corners[twos].reshape(-1, 3)
+    low, high = triangles.corners[ones].min(axis=1), triangles.corners[ones].max(axis=1)
+    touches = (low <= of_twos.max(axis=0) + PLANE) & (high >= of_twos.min(axis=0) - PLANE)
+    return ones[touches.all(axis=1)]
 
 
 def _in_one_plane(planes: Floats, part: NDArray[np.int32]) -> Iterator[tuple[Ints, Ints]]:
