@@ -92,10 +92,9 @@ class Setup:
         """The setup of scene `index`, with the configured detector. seconds : those of earlier stages."""
         seconds = dict[str, float]() if seconds is None else seconds
         with _timed(seconds, "effects"):
-            scene = set_apart(scene, capture).scene
-            caster = Raycaster(scene)
+            apart = set_apart(scene, capture)
         spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-        return cls(config, index, scene, capture, caster, spad, exposure, seconds)
+        return cls(config, index, apart.scene, capture, apart.caster, spad, exposure, seconds)
 
     @property
     def fields(self) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scene_library.polygons import crosses_itself, triangulate
+from scene_library.polygons import triangulate
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -78,6 +78,8 @@ def _fans(faces: Ints) -> Ints:
 
 def _cut(vertices: Floats, faces: Ints, numbers: Ints) -> tuple[Ints, int]:
     """Triangles of faces (n, k) of k > 3 corners, and how many faces are bent; `numbers` are those of the faces."""
+    from scene_library.ears import crosses_itself
+
     plan, heights, convex = _flattened(vertices[faces])
     found = [_fans(faces[convex])]
     for row in np.flatnonzero(~convex):

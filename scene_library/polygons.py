@@ -135,86 +135,9 @@ def triangulate(polygon: Polygon) -> NDArray[np.int64]:
     outline may touch itself, as that of a polygon with a hole does, which a bridge there and back joins to the rim.
     Raises `ValueError` when the polygon is not simple.
     """
+    from scene_library.ears import cut_ears
+
     if len(polygon) > 4 and _is_convex(polygon):
         k = np.arange(1, len(polygon) - 1)
         return np.stack([np.zeros_like(k), k, k + 1], axis=1)
-    left = np.arange(len(polygon))
-    ears = np.array([_ear(polygon, left, place) for place in range(len(left))])
-    triangles: list[tuple[int, int, int]] = []
-    while len(left) > 3:
-        folds = _folds(polygon[left])
-        if folds.any():
-            chosen = int(np.argmax(folds))
-        else:
-            if not (ears > 0).any():
-                # Cutting an ear frees others, which are looked for when none is left.
-                ears = np.array([_ear(polygon, left, place) for place in range(len(left))])
-            chosen = int(np.argmax(ears))
-            if ears[chosen] <= 0:
-                raise ValueError("the polygon is not simple: no ear can be cut")
-            triangles.append((left[chosen - 1], left[chosen], left[(chosen + 1) % len(left)]))
-        left, ears = np.delete(left, chosen), np.delete(ears, chosen)
-        for place in ((chosen - 1) % len(left), chosen % len(left)):
-            ears[place] = _ear(polygon, left, place)
-    if not _folds(polygon[left]).any():
-        triangles.append((left[0], left[1], left[2]))
-    return np.array(triangles, np.int64).reshape(-1, 3)
-
-
-def _folds(polygon: Polygon) -> NDArray[np.bool_]:
-    """Which corners (n,) lie on the way back, as the tip of a spike and the end of a bridge, or on the next corner:
-    they enclose nothing."""
-    edge = polygon - np.roll(polygon, 1, axis=0)
-    after = np.roll(edge, -1, axis=0)
-    along, size = (edge * after).sum(axis=1), (edge**2).sum(axis=1) + (after**2).sum(axis=1)
-    return np.asarray((along <= 0) & (np.abs(cross(edge, after)) <= 1e-12 * size))
-
-
-def crosses_itself(polygon: Polygon) -> bool:
-    """Whether two sides of a polygon cross; sides that touch, or run along each other, do not."""
-    for k in range(len(polygon) - 2):
-        if _crossed(polygon[k], polygon[k + 1], polygon[k + 1 :], np.roll(polygon, -1, axis=0)[k + 1 :]):
-            return True
-    return False
-
-
-def _bend(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Twice the signed area of triangles (…, 2)."""
-    return np.asarray(
-        (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (c[..., 0] - a[..., 0])
-    )
-
-
-def _flatness(corners: Floats) -> float:
-    """Size of a triangle (3, 2) across over its size along; 0 for one without area."""
-    size = np.abs(corners - np.roll(corners, 1, axis=0)).sum()
-    return float(np.abs(_bend(*corners)) / size**2) if size > 0 else 0.0
-
-
-def _ear(polygon: Polygon, left: NDArray[np.int64], place: int) -> float:
-    """How fat the triangle at a corner of what is left of a polygon is, if it can be cut off; else 0."""
-    a, b, c = corners = polygon[left[[place - 1, place, (place + 1) % len(left)]]]
-    fatness = _flatness(corners) if _bend(a, b, c) > 0 else 0.0
-    # A corner that bends inwards, or not at all, is none.
-    if fatness <= 1e-12:
-        return 0.0
-    others = polygon[left]
-    # A corner on the rim, but for rounding, is in the way. Where the outline touches itself, the corners of
-    # the triangle come again, and the sides that leave there must not cross the cut.
-    apart = ~((others == a).all(axis=1) | (others == b).all(axis=1) | (others == c).all(axis=1))
-    rounding = -1e-9 * _bend(a, b, c)
-    inside = (_bend(a, b, others) >= rounding) & (_bend(b, c, others) >= rounding) & (_bend(c, a, others) >= rounding)
-    if (inside & apart).any() or _crossed(c, a, others, np.roll(others, -1, axis=0)):
-        return 0.0
-    return fatness
-
-
-def _crossed(a: Floats, b: Floats, starts: Floats, ends: Floats) -> bool:
-    """Whether one of the sides from `starts` to `ends` (n, 2) crosses that from `a` to `b` within both."""
-    # Areas below rounding are those of sides that end on one another.
-    size = np.abs(starts - a).sum(axis=1) + np.abs(ends - a).sum(axis=1) + np.abs(b - a).sum()
-    least = 1e-12 * size**2
-    of_side = _bend(starts, ends, a), _bend(starts, ends, b)
-    of_cut = _bend(a, b, starts), _bend(a, b, ends)
-    apart = [((one > least) & (two < -least)) | ((one < -least) & (two > least)) for one, two in (of_side, of_cut)]
-    return bool((apart[0] & apart[1]).any())
+    return np.asarray(cut_ears(np.ascontiguousarray(polygon)))

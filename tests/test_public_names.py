@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import builtins
 import collections.abc
-import dataclasses
 import inspect
 import re
 import runpy
@@ -18,7 +17,6 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import datagen
@@ -61,11 +59,6 @@ def test_types_of_public_signatures_are_public(name: str) -> None:
             assert word in ELSEWHERE or word in ("np", "torch", "trimesh") or hasattr(datagen, word), (name, kind)
 
 
-def test_what_is_walked_is_much() -> None:
-    walked = [kind for name in datagen.__all__ for kind, _ in annotations(getattr(datagen, name))]
-    assert len(walked) > 250 and "DatasetConfig" in walked and "Floats" in walked
-
-
 @pytest.mark.parametrize(("page", "number", "text"), PYTHON, ids=lambda value: str(value)[:20])
 def test_examples_use_names_that_exist(page: str, number: int, text: str) -> None:
     """README's examples are run by tests/cli/test_readme.py; of all pages' the names, and keywords, are looked up."""
@@ -98,18 +91,3 @@ def test_type_checkers_find_an_editable_install(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / done.stdout.split()[-1]) as wheel:
         (written,) = (name for name in wheel.namelist() if ".dist-info/" not in name)
         assert wheel.read(written).decode().strip() == str(tmp_path)
-
-
-def test_a_transient_is_printed_in_a_line() -> None:
-    """Its arrays have many thousand numbers."""
-    light = np.full((2, 3, 4), 1e-9)
-    time = datagen.TimeAxis(bins=4, width_s=1e-10, origin="wall")
-    plain = datagen.Transient(
-        time, {"primary": light}, {"ball": light}, 0.01 * light, light[..., 0], np.zeros((2, 3))
-    )
-    assert repr(plain) == (
-        "<Transient of 2 laser points × 3 pixels × 4 bins: components primary; parts ball; relative error 0.01>"
-    )
-    printed = repr(dataclasses.replace(plain, parts={}, error_bound=0.25, met_target=False))
-    assert printed.endswith("parts none; relative error 0.25, target not met>")
-    assert "no error known" in repr(dataclasses.replace(plain, stderr=np.nan * light))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy.special
@@ -150,13 +151,13 @@ class TdcBins:
         """
         rows = np.ascontiguousarray(records.reshape(-1, records.shape[-1]))
         out = np.zeros((len(rows), self.bins))
-        _sort_mean(rows, self.from_s, self.to_s, self._edges_of(records, pixels), out)
+        _sort(rows, self.from_s, self.to_s, self._edges_of(records, pixels), None, out)
         return out.reshape(*records.shape[:-1], self.bins)
 
     def draw(self, records: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
         """(h, bins) records in the TDC's bins: a multinomial number for each incoming bin."""
         out = np.zeros((len(records), self.bins), np.int64)
-        _sort_counts(records, self.from_s, self.to_s, self._edges_of(records, pixels), rng, out)
+        _sort(records, self.from_s, self.to_s, self._edges_of(records, pixels), rng, out)
         return out
 
     def _edges_of(self, records: NDArray[np.generic], pixels: Ints | None) -> Ints:
@@ -302,49 +303,27 @@ def _scatter(counts: Ints, weights: Floats, offsets: Ints, rng: Generator) -> In
 
 
 @compiled()
-def _overlap(low: float, high: float, edges: Floats, k: int) -> float:
-    """Share of the interval `low … high` in TDC bin k."""
-    return float(max(min(high, edges[k + 1]) - max(low, edges[k]), 0.0) / (high - low))
-
-
-@compiled()
-def _sort_mean(records: Floats, from_s: Floats, to_s: Floats, row_of: Ints, out: Floats) -> None:
-    """Add `records` (h, m) to the TDC's bins `out` (h, bins), in proportion to the overlap."""
+def _sort(
+    records: NDArray[Any], from_s: Floats, to_s: Floats, row_of: Ints, rng: Generator | None, out: NDArray[Any]
+) -> None:
+    """Add `records` (h, m) to the TDC's bins `out` (h, bins) according to the overlap: counts each at random, and
+    expected records, for which `rng` is None, in proportion."""
     for h in range(len(records)):
-        edges, j = to_s[row_of[h]], 0
+        edges, k = to_s[row_of[h]], 0
         for i in range(len(from_s) - 1):
-            value, low, high = records[h, i], from_s[i], from_s[i + 1]
-            if value == 0.0:
-                continue
+            left, low, high, rest = records[h, i], from_s[i], from_s[i + 1], 1.0
             # The last edge is the end of the time axis, so the search ends.
-            while edges[j + 1] <= low:
-                j += 1
-            k = j
-            while k < len(edges) - 1 and edges[k] < high:
-                out[h, k] += value * _overlap(low, high, edges, k)
+            while left > 0 and edges[k + 1] <= low:
                 k += 1
-
-
-@compiled()
-def _sort_counts(records: Ints, from_s: Floats, to_s: Floats, row_of: Ints, rng: Generator, out: Ints) -> None:
-    """Add counts `records` (h, m) to the TDC's bins `out` (h, bins), each at random according to the overlap."""
-    for h in range(len(records)):
-        edges, j = to_s[row_of[h]], 0
-        for i in range(len(from_s) - 1):
-            left, low, high = records[h, i], from_s[i], from_s[i + 1]
-            if left == 0:
-                continue
-            while edges[j + 1] <= low:
-                j += 1
-            # A binomial for each TDC bin, out of the counts that are still left. The last bin takes the rest, so that
-            # rounding loses none.
-            k, rest = j, 1.0
+            j = k
             while left > 0:
-                share = _overlap(low, high, edges, k)
+                # A share for each TDC bin, out of what is still left. The last bin takes the rest, so that rounding
+                # loses none.
+                share = max(min(high, edges[j + 1]) - max(low, edges[j]), 0.0) / (high - low)
                 moved = left
-                if edges[k + 1] < high and share < rest:
-                    moved = binomial(left, share / rest, rng)
-                out[h, k] += moved
+                if edges[j + 1] < high and share < rest:
+                    moved = left * (share / rest) if rng is None else binomial(left, share / rest, rng)
+                out[h, j] += moved
                 left -= moved
                 rest -= share
-                k += 1
+                j += 1

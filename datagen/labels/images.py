@@ -55,7 +55,7 @@ def hidden_surface(scene: Scene, rows: int, columns: int) -> HiddenSurface:
     hit = Triangles(corners).first_met(start, np.array([0.0, 0.0, 1.0]))
     met = hit >= 0
     depth = np.zeros(len(at))
-    depth[met] = np.maximum(plane_depths(corners[hit[met]], at[met]), _SMALLEST_DEPTH_M)
+    depth[met] = np.maximum(plane_depths(corners, hit[met], at[met]), _SMALLEST_DEPTH_M)
     face = np.where(met, np.append(seen, -1)[hit], -1)
     return HiddenSurface(scene, frame, face.reshape(rows, columns), depth.reshape(rows, columns))
 

@@ -38,7 +38,7 @@ def enclosed_voxels(triangles: Floats, shape: tuple[int, int, int]) -> Bools:
         sides = [_on_left(triangles[f, a, :2], triangles[f, b, :2], at) for a, b in ((0, 1), (1, 2), (2, 0))]
         met = np.flatnonzero((sides[0] == sides[1]) & (sides[1] == sides[2]))
         # A crossing before the first centre counts for all centres, one behind the last for none.
-        layer = np.ceil(np.maximum(plane_depths(triangles[f[met]], at[met]) - 0.5, 0)).astype(np.int64)
+        layer = np.ceil(np.maximum(plane_depths(triangles, f[met], at[met]) - 0.5, 0)).astype(np.int64)
         within = layer < layers
         np.add.at(crossings, (layer[within], row[met[within]], column[met[within]]), 1)
     return np.asarray(np.logical_xor.accumulate(crossings % 2 == 1, axis=0))

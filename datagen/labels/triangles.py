@@ -62,12 +62,15 @@ def open3d_for_labels() -> Any:
         raise InputError(f"labels: images and volumes need {error}, or leave them out of store.fields") from None
 
 
-def plane_depths(corners: Floats, at: Floats) -> Floats:
-    """(n,) third coordinate of the planes of triangles (n, 3, 3) where the first two are `at` (n, 2), in double
-    precision, within those of the corners: the plane of a steep triangle leaves them by rounding."""
+def plane_depths(corners: Floats, numbers: Ints, at: Floats) -> Floats:
+    """(n,) third coordinate of planes where the first two are `at` (n, 2), in double precision, within those of the
+    corners: the plane of a steep triangle leaves them by rounding.
+
+    corners : (F, 3, 3) of triangles. numbers : (n,) those of the triangles in the planes.
+    """
     low, high = corners[..., 2].min(axis=1), corners[..., 2].max(axis=1)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rise = np.einsum("nk,nk->n", normal[:, :2], at - corners[:, 0, :2])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[numbers]
+    rise = np.einsum("nk,nk->n", normal[:, :2], at - corners[numbers, 0, :2])
     # A triangle seen edge on is met by rounding only, and any of its depths will do.
     slope = np.divide(rise, normal[:, 2], out=np.zeros(len(rise)), where=normal[:, 2] != 0)
-    return np.asarray(np.clip(corners[:, 0, 2] - slope, low, high))
+    return np.asarray(np.clip(corners[numbers, 0, 2] - slope, low[numbers], high[numbers]))

@@ -11,7 +11,6 @@ from datasets import write_dataset
 
 from datagen.building import plan as planning
 from datagen.building.plan import AT_LEAST_S, WORTH, Pilots, planned, scene_limit, simulated_scenes
-from datagen.building.plan_text import duration
 from datagen.cli import run
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.errors import InputError
@@ -44,16 +43,13 @@ def pilots(*seconds: float) -> Pilots:
 
 def test_a_build_is_the_mean_scene_times_their_number() -> None:
     """The seconds of the first scene, which also loads compiled code, are no part of the mean."""
-    for scenes in (10, 20):
-        plan = planned(config_from_mapping({"scenes": scenes}), pilots(50.0, 1.0, 2.0, 3.0), 1, 2)
-        assert plan.scene_s == (1.0, 2.0, 3.0)
-        assert plan.seconds == {"transport": 1.5, "store": 0.5}
-        assert (plan.build_s, plan.build_bytes) == (2.0 * scenes, 100.0 * scenes)
+    plan = planned(config_from_mapping({"scenes": 20}), pilots(50.0, 1.0, 2.0, 3.0), 1, 2)
+    assert plan.scene_s == (1.0, 2.0, 3.0) and plan.seconds == {"transport": 1.5, "store": 0.5}
+    assert (plan.build_s, plan.build_bytes) == (40.0, 2000.0)
     assert planned(config_from_mapping({"scenes": 1}), pilots(50.0), 1, 2).build_s == 50.0
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3, 7])
-@pytest.mark.parametrize("scenes", [1, 5, 25, 28, 160, 387])
+@pytest.mark.parametrize(("scenes", "workers"), [(5, 7), (28, 3), (160, 1), (160, 3)])
 def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: int, workers: int) -> None:
     """Against a plain simulation of the queue, in which the scenes of the last shards are jobs of their own."""
     config = config_from_mapping({"scenes": scenes, "store": {"scenes_per_shard": 4}})
@@ -78,16 +74,13 @@ def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Pat
     records = committed(root, read_manifest(root))
     assert found.parameters == tuple(scene.parameters for record in records for scene in record.scenes)
     assert len(found.seconds) == 3 and not found.failed
+    # Until the seconds have passed, but three at least.
+    assert len(simulated_scenes(settings.with_scenes(9), 1e-9).seconds) == 3
     for field in read_manifest(root).schema.fields:
         files = sum(of.bytes for r in records for path, of in r.files.items() if f"/{field.name}/" in path)
         assert 3 * found.stored[field.name] == pytest.approx(files), field.name
     kept = sum(len(record.to_bytes()) for record in records)
     assert 3 * found.stored["record"] == pytest.approx(kept, rel=0.05)
-
-
-def test_scenes_are_simulated_until_the_seconds_have_passed_but_three_at_least(config: Path) -> None:
-    assert len(simulated_scenes(load_config(config).with_scenes(9), 1e-9).seconds) == 3
-    assert len(simulated_scenes(load_config(config).with_scenes(1), 1e6).seconds) == 1
 
 
 def test_a_scene_that_cannot_be_made_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,9 +106,7 @@ def test_the_plan_says_what_a_build_takes_and_makes(
     numbers = tmp_path / "plan.json"
     assert run(["plan", str(config), "--workers", "2", "--seconds", "60", "--json", str(numbers)]) == 0
     text = capsys.readouterr().out
-    for piece in ("4 laser points × 1 pixel × 64 bins of 800 ps", "3 scenes simulated in full", "sampler poisson",
-                  "of one core", "transport", "relative L2", "timing_response", "σ", "2 workers", "2 of 2 scenes",
-                  "histogram", "1.54 kB"):  # fmt: skip
+    for piece in ("4 laser points × 1 pixel × 64 bins", "3 scenes simulated in full", "timing_response", "2 workers"):
         assert piece in text, piece
     values = json.loads(numbers.read_text())
     expected = values["forecast"]
@@ -124,38 +115,9 @@ def test_the_plan_says_what_a_build_takes_and_makes(
     assert {of["kind"] for of in expected["evidence"]} == {"box", "pillar"}
 
 
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        (["--workers", "0"], "--workers 0"),
-        (["--seconds", "0"], "--seconds 0"),
-        (["--seconds", "nan"], "--seconds nan"),
-        (["--scenes", "0"], "--scenes 0"),
-        (["--json", "nowhere/plan.json"], "no folder nowhere"),
-        (["--json", "."], "is a folder"),
-    ],
-)
-def test_bad_input_is_one_line(
-    config: Path, options: list[str], word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["plan", str(config), *options]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and word in err and err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0.5, "0.5 s"), (43.2, "43 s"), (119.0, "2 min"), (3000.0, "50 min"), (12240.0, "3.4 h"), (1e6, "12 days")],
-)
-def test_durations_for_people(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
-
-
 def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     config = config_from_mapping({})
     assert scene_limit("2.5", config) == 2.5
-    with pytest.raises(InputError, match="--scene-seconds soon: must be a number of seconds, or forecast"):
-        scene_limit("soon", config)
     for longest, limit in ((0.01, AT_LEAST_S), (60.0, 60.0 * WORTH)):
         plan = planned(config, pilots(0.0, 0.001, longest), 1, 1)
         monkeypatch.setattr(planning, "plan_build", lambda _, plan=plan: plan)

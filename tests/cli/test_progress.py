@@ -1,15 +1,21 @@
-"""Progress of a build: a bar that never runs backwards on a terminal, plain lines elsewhere, from the start."""
+"""What a build shows while it runs, and what a command says that a signal ends."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import pty
 import re
+from typing import NoReturn
 
 import pytest
 
+from datagen import exit_status
 from datagen.building import progress
 from datagen.building.progress import Progress
+from datagen.cli import run
+from datagen.errors import InputError
+from datagen.exit_status import CHANGED_NOTHING, GOES_ON
 
 
 def shown_on_a_terminal(monkeypatch: pytest.MonkeyPatch, kind: str) -> str:
@@ -51,6 +57,11 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     now = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     shown = Progress(True)
+    for step in ("checking", *["compiling"] * 100):
+        now[0] += 1.0
+        shown.doing(step)
+    assert capsys.readouterr().err == "compiling\n"
+    now[0] = 0.0
     shown.begin(1000, 0)
     for scene in range(1000):
         now[0] += 1.0
@@ -64,22 +75,28 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 40 < len(lines) < 70
 
 
-def test_a_log_says_once_what_comes_before_the_first_scene(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+ANEW = "not finished, run the same command again: it begins anew"
+FINISHED_FILES = "files that are finished stay, the same command writes all of them again"
+
+
+@pytest.mark.parametrize(
+    ("work", "command", "said"),
+    [
+        ("datagen.devices read_frames", "compare a.npz --device tmf8820 --mesh a.stl", ANEW),
+        ("datagen.config load_config", "plan a.yaml", ANEW),
+        ("datagen.store verify", "verify out", CHANGED_NOTHING),
+        ("datagen.formats export", "export out files --format npz", FINISHED_FILES),
+        ("datagen.config load_config", "build a.yaml out", GOES_ON),
+        ("datagen.formats import_captures", "import a.npz out", GOES_ON),
+    ],
+)
+def test_what_a_signal_would_leave_is_known_before_the_work_begins(
+    work: str, command: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = [0.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    shown = Progress(True)
-    shown.doing("checking")
-    for _ in range(100):
-        now[0] += 1.0
-        shown.doing("compiling")
-    assert capsys.readouterr().err == "compiling\n"
+    def begun(*_: object, **__: object) -> NoReturn:
+        raise InputError("the work begins")
 
-
-def test_nothing_is_shown_unasked(capsys: pytest.CaptureFixture[str]) -> None:
-    report = Progress(False)
-    report.begin(4, 0)
-    report.update(4, (), 0)
-    report.close()
-    assert capsys.readouterr() == ("", "")
+    module, function = work.split()
+    monkeypatch.setattr(exit_status, "_at_end", [ANEW])
+    monkeypatch.setattr(importlib.import_module(module), function, begun)
+    assert run(command.split()) == 2 and exit_status._at_end == [said]

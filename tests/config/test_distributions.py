@@ -31,10 +31,10 @@ def height(value: object) -> object:
     ],
 )
 def test_continuous_draws_follow_the_declared_law(declared: dict, law: object) -> None:
-    """Kolmogorov–Smirnov on 20 000 draws, level 10⁻³ over the three laws."""
+    """Kolmogorov–Smirnov on 5000 draws, level 10⁻³ over the three laws."""
     distribution = height(declared)
     rng = np.random.default_rng(5)
-    values = [draw(distribution, rng) for _ in range(20_000)]  # type: ignore[arg-type]
+    values = [draw(distribution, rng) for _ in range(5_000)]  # type: ignore[arg-type]
     assert stats.kstest(values, law.cdf).pvalue > 1e-3 / 3  # type: ignore[attr-defined]
     low, high = support(distribution)  # type: ignore[arg-type]
     assert low <= min(values) <= max(values) <= high
@@ -61,7 +61,7 @@ def test_choice_follows_its_weights_and_a_constant_draws_nothing() -> None:
         ({"uniform": [-1.0, 0.5]}, "must be > 0"),
         ({"unifrm": [0.5, 1.0]}, "uniform"),
         ({"uniform": [0.5]}, "height_m.uniform"),
-        ("tall", "A number is needed".lower()),
+        ("tall", "a number is needed"),
         (True, "a number is needed"),
     ],
 )
@@ -69,38 +69,23 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(value: object, words: str) 
     with pytest.raises(InputError) as caught:
         height(value)
     message = str(caught.value)
-    assert "scene.contents[0].height_m" in message
-    assert words in message.lower() or words in message
-    assert "\n" not in message
-    assert "<" not in message.replace("<=", "")
+    assert "scene.contents[0].height_m" in message and words in message.lower() and "\n" not in message
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"name": "x", "scene": {"contents": [{"kind": "box", "height_m": {"log_uniform": [0.1, 1.5]}}]}},
-        {"scene": {"contents": [{"kind": "box", "material": ["pine_wood"]}],
-                   "materials": {"walls": {"material": ["concrete"]}}}},
-        {"scene": {"layout": {"kind": "isolated_wall", "place": "in_front"},
-                   "contents": [{"kind": "box", "distance_m": 1.0}]}},
-        {"transport": {"target": 0.1, "max_bounces": 4, "max_lookins": 5000}},
-    ],
-    ids=["distribution", "material", "in front", "target"],
-)  # fmt: skip
-def test_a_configuration_survives_its_own_dump(values: dict[str, object]) -> None:
-    config = config_from_mapping(values)
+def test_a_configuration_survives_its_own_dump_and_has_a_fingerprint() -> None:
+    box = {"kind": "box", "height_m": {"log_uniform": [0.1, 1.5]}, "material": ["pine_wood"], "distance_m": 1.0}
+    scene = {
+        "layout": {"kind": "isolated_wall", "place": "in_front"}, "contents": [box],
+        "materials": {"walls": {"material": ["concrete"]}},
+    }  # fmt: skip
+    config = config_from_mapping({"scene": scene, "transport": {"target": 0.1, "max_lookins": 5000}})
     for again in (
         config_from_mapping(json.loads(config.model_dump_json())),
         DatasetConfig.model_validate_json(config.model_dump_json()),
     ):
         assert again == config and again.fingerprint() == config.fingerprint()
-
-
-def test_fingerprint_knows_what_matters() -> None:
     base = config_from_mapping({})
-    assert (
-        config_from_mapping({"name": "other", "description": "words", "scenes": 7}).fingerprint()
-        == base.fingerprint()
-    )
+    other = config_from_mapping({"name": "other", "description": "words", "scenes": 7})
+    assert other.fingerprint() == base.fingerprint()
     assert config_from_mapping({"seed": 1}).fingerprint() != base.fingerprint()
     assert config_from_mapping({"transport": {"lookins": 999}}).fingerprint() != base.fingerprint()

@@ -23,7 +23,6 @@ from datagen.records import Transient
 
 BINS, WIDTH_S = 128, 4e-10
 PERIOD_S = BINS * WIDTH_S
-DRAWS = 1000
 SIGMA = 6.0
 """Significance for which every scene's exposure is chosen, unless drawing it would take too long."""
 MODES = ("ideal", "one a cycle", "gated", "free running", "dead for three bins")
@@ -112,8 +111,9 @@ class Separation:
         return abs(self.measured - self.follows) / self.error
 
 
-def separation(scene: int, mode: str) -> Separation:
-    """The separation in random scene `scene` under a detector of kind `mode`."""
+def separation(scene: int, mode: str, draws: int = 1000) -> Separation:
+    """The separation in random scene `scene` under a detector of kind `mode`, by so many histograms with and without
+    the object."""
     light, name = light_of(scene)
     spad, exposure = detector(mode, light, name, scene)
     stated = dg.own_evidence(light, spad, exposure, [name])[name].significance
@@ -124,9 +124,9 @@ def separation(scene: int, mode: str) -> Separation:
     rate = np.clip(everything / armed_cycles(everything, spad, exposure), 0.0, None)
     answers = []
     for seed, seen in enumerate((light.total, np.maximum(light.total - own, 0.0))):
-        many = np.tile(seen, (DRAWS, 1, 1))
+        many = np.tile(seen, (draws, 1, 1))
         counts = dg.detect(many, light.time, spad, exposure, seed=2 * scene + seed).astype(np.float64)
-        counts = counts.reshape(DRAWS, *own.shape)
+        counts = counts.reshape(draws, *own.shape)
         surplus = counts - rate * armed_cycles(counts, spad, exposure)
         answers.append((weight * surplus).sum(axis=(1, 2, 3)))
     with_it, without = answers
@@ -135,7 +135,7 @@ def separation(scene: int, mode: str) -> Separation:
     # The error of a standard deviation depends on the fourth moment: weights are large in bins with few counts.
     fourth = float((((with_it - with_it.mean()) / spread) ** 4).mean())
     error = np.hypot(
-        np.sqrt(1 + without.var() / spread**2) / np.sqrt(DRAWS), measured * np.sqrt((fourth - 1) / (4 * DRAWS))
+        np.sqrt(1 + without.var() / spread**2) / np.sqrt(draws), measured * np.sqrt((fourth - 1) / (4 * draws))
     )
     without_own = own_light(np.maximum(light.total - own, 0.0), [own], light.time, spad, exposure)
     follows = (weight * np.concatenate([block.own[0] for block in without_own])).sum() / stated

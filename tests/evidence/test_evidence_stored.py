@@ -69,10 +69,10 @@ def test_scenes_with_too_little_evidence_are_left_out(built: Path) -> None:
     assert alone.scenes.tolist() == np.flatnonzero(np.isnan(weakest)).tolist()
 
 
-@pytest.mark.parametrize("least", [-1.0, float("nan"), "3", [3]])
-def test_bad_conditions_are_refused(built: Path, least: float) -> None:
-    with pytest.raises(dg.InputError, match=r"evidence_at_least = .*: must be a number in 0 … 1e\+09 \(standard"):
-        dg.TransientDataset(built, fields=("histogram",), evidence_at_least=least)
+def test_bad_conditions_are_refused(built: Path) -> None:
+    for least in (-1.0, float("nan"), "3", [3]):
+        with pytest.raises(dg.InputError, match=r"evidence_at_least = .*: must be a number in 0 … 1e\+09"):
+            dg.TransientDataset(built, fields=("histogram",), evidence_at_least=least)  # type: ignore[arg-type]
 
 
 def test_info_and_card_state_evidence_by_kind(built: Path) -> None:

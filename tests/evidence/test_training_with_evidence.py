@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import runpy
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,23 +44,12 @@ def test_labels_without_light_cost_a_network_that_believes_them() -> None:
     assert blind[~seen].mean() == pytest.approx(1.2**2 / 12, rel=0.2)
 
 
-def test_the_epoch_is_chosen_on_val() -> None:
-    """Where val has another truth than train, to have learnt less is better; test has no say."""
-    train, val = scenes(96, 1), scenes(100, 3)
-    false = replace(val, depth=2 * made["mean_depth"](train) * val.box - val.depth)
-    errors = [
-        made["square_error"](made["found_in"](made["trained"](PLAIN, train, of, 0, 12), val), val)[val.sigma > 3]
-        for of in (val, false)
-    ]
-    assert errors[0].mean() < 0.5 * errors[1].mean()
-
-
 def test_the_command_prints_a_table_and_draws(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     threads = torch.get_num_threads()
     out = tmp_path / "picture.png"
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(out), "--scenes", "24", "--epochs", "1", "--seeds", "2"])
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(out), "--scenes", "14", "--epochs", "1", "--seeds", "2"])
     try:
         made["main"]()
     finally:
@@ -69,5 +57,5 @@ def test_the_command_prints_a_table_and_draws(
     rows = capsys.readouterr().out.splitlines()
     assert len(rows) == 7 and "| scenes kept back | " in rows[2]
     # Two of each ten, and of what is left over.
-    assert 4 <= sum(int(cell) for cell in rows[2].split("|")[2:-1]) <= 6
+    assert 2 <= sum(int(cell) for cell in rows[2].split("|")[2:-1]) <= 4
     assert out.stat().st_size > 10_000

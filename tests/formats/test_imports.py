@@ -54,8 +54,7 @@ def check_geometry(back: SceneContent, m: Recording) -> None:
     assert (corners[0, :2] <= both + 1e-9).all() and (both <= corners[1, :2] + 1e-9).all()
 
 
-GRIDS = ("confocal", "single", "exhaustive")
-CASES = [(scan, origin) for scan in SCANS for origin in ("wall", "source") if scan in GRIDS or origin == "source"]
+CASES = [("confocal", "wall"), ("exhaustive", "wall"), *((scan, "source") for scan in SCANS)]
 
 
 @pytest.mark.parametrize(("scan", "origin"), CASES)
@@ -74,7 +73,7 @@ def test_y_tal_comes_back_bit_for_bit(scan: str, origin: str, made: Any, tmp_pat
     np.testing.assert_allclose(got.arrays["hidden_bounds"], m.hidden, atol=1e-9)
 
 
-@pytest.mark.parametrize(("scan", "origin"), CASES)
+@pytest.mark.parametrize(("scan", "origin"), CASES[1:])
 def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, made: Any, tmp_path: Path) -> None:
     back = Scenes(brought_back(made(scan, origin), tmp_path, "mat"))
     m, got = recording_of(Scenes(made(scan, origin)).read(1)).on_wall().from_time_zero(), back.read(0)
@@ -99,26 +98,18 @@ def test_matlab_comes_back_bit_for_bit_from_the_wall_on(scan: str, origin: str, 
 
 @pytest.mark.parametrize("format", ["tal", "mat"])
 def test_light_comes_back_as_light(format: str, made: Any, tmp_path: Path) -> None:
-    back = Scenes(brought_back(made("confocal"), tmp_path, format, light="transient"))
-    m = recording_of(Scenes(made("confocal")).read(1), "transient").on_wall().from_time_zero()
-    got = back.read(0).arrays
-    assert "histogram" not in got
-    np.testing.assert_array_equal(got["transient"], m.values)
-    assert back.manifest.schema.by_name["transient"].unit == "as in the file"
-
-
-def test_simulated_and_imported_scenes_in_one_loader(made: Any, tmp_path: Path) -> None:
-    simulated = made("single")
-    back = brought_back(simulated, tmp_path, "tal", "0-1", bins=1500)
-    fields = ("histogram", "laser_points", "sensor_pixels", "laser_position")
+    """And goes through one loader with simulated scenes."""
+    simulated = made("confocal")
+    back = brought_back(simulated, tmp_path, format, light="transient", bins=1500)
+    m = recording_of(Scenes(simulated).read(1), "transient").from_time_zero()
+    fields = ("transient", "laser_points")
+    (alone,) = dg.TransientDataset(back, fields)  # type: ignore[misc]
+    np.testing.assert_array_equal(alone["transient"].numpy(), m.values[..., :1500])
+    assert read_manifest(back).schema.by_name["transient"].unit == "as in the file"
     both = torch.utils.data.ConcatDataset([dg.TransientDataset(path, fields) for path in (simulated, back)])
-    (batch,) = torch.utils.data.DataLoader(both, batch_size=4, collate_fn=dg.collate)
-    assert batch["histogram"].shape == (4, 1, 18, 1500) and batch["histogram"].dtype == torch.float32
+    (batch,) = torch.utils.data.DataLoader(both, batch_size=3, collate_fn=dg.collate)
     # The simulated one begins 40 whole bins after 0, which a file does.
-    assert torch.equal(batch["histogram"][0, ..., :1460], batch["histogram"][2, ..., 40:])
-
-
-# Files as others write them
+    assert torch.equal(batch["transient"][1, ..., :1460], batch["transient"][2, ..., 40:])
 
 
 @pytest.mark.parametrize("axes", ["xyt", "yxt", "txy", "tyx"])
@@ -304,7 +295,7 @@ def test_no_damage_ends_in_anything_but_a_line(name: str, tmp_path: Path) -> Non
         variables = {"rect_data": np.ones((2, 2, 9)), "width": 1.0}
         scipy.io.savemat(path, variables, do_compression=name == "packed.mat")
     whole, refused = path.read_bytes(), 0
-    for _ in range(60):
+    for _ in range(40):
         harmed = bytearray(whole[: random.integers(1, len(whole))] if random.random() < 0.2 else whole)
         reach = min(len(harmed), int(random.choice([256, 2048, len(harmed)])))
         for place in random.integers(0, reach, random.integers(1, 12)):

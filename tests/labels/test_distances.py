@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import trimesh
 
 from datagen.labels.triangles import Triangles
@@ -29,49 +28,30 @@ def by_every_triangle(corners: np.ndarray) -> np.ndarray:
     return least
 
 
-@pytest.mark.parametrize("size", [0.02, 0.3, 2.0])
-@pytest.mark.parametrize("count", [1, 2, 3, 300])
-def test_random_triangles(count: int, size: float) -> None:
-    rng = np.random.default_rng(count)
-    corners = rng.uniform(-1, 1, (count, 1, 3)) + rng.uniform(-size, size, (count, 3, 3))
-    np.testing.assert_allclose(Triangles(corners).distances(PLACES), by_every_triangle(corners), **SINGLE)
+def test_any_triangles() -> None:
+    """Alone and many, small and large; and meshes, where many triangles are equally near to an edge or a corner."""
+    rng = np.random.default_rng(3)
+    soups = [
+        rng.uniform(-1, 1, (count, 1, 3)) + rng.uniform(-size, size, (count, 3, 3))
+        for count, size in ((1, 2.0), (2, 0.3), (3, 0.02), (300, 0.02), (300, 2.0))
+    ]
+    turn = trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))[:3, :3]
+    for mesh in (trimesh.creation.box((0.9, 0.6, 0.7)), trimesh.creation.torus(0.7, 0.2, 24, 12)):
+        soups += [np.asarray(mesh.triangles) @ turn + place for place in ((0.1, -0.2, 0.05), (4.0, -3.0, 2.0))]
+    # A triangle through points of the grid, on its corners, on an edge and inside.
+    soups.append((START + STEP * np.array([[2, 3, 4], [2, 7, 4], [2, 3, 10]]))[None])
+    for corners in soups:
+        np.testing.assert_allclose(Triangles(corners).distances(PLACES), by_every_triangle(corners), **SINGLE)
 
 
-@pytest.mark.parametrize("place", [(0.1, -0.2, 0.05), (4.0, -3.0, 2.0)])
-@pytest.mark.parametrize(
-    "mesh",
-    [
-        trimesh.creation.box((0.9, 0.6, 0.7)),
-        trimesh.creation.icosphere(subdivisions=2, radius=0.8),
-        trimesh.creation.torus(0.7, 0.2, 24, 12),
-        trimesh.creation.cylinder(0.4, 1.1, sections=40),
-        trimesh.creation.cone(0.5, 1.0, sections=25),
-    ],
-    ids=["box", "ball", "torus", "cylinder", "cone"],
-)
-def test_meshes_whose_triangles_meet(mesh: trimesh.Trimesh, place: tuple[float, float, float]) -> None:
-    """Many triangles are equally near where an edge or a corner is nearest."""
-    corners = np.asarray(mesh.triangles) @ trimesh.transformations.rotation_matrix(0.4, (1, 2, 3))[:3, :3] + place
-    np.testing.assert_allclose(Triangles(corners).distances(PLACES), by_every_triangle(corners), **SINGLE)
-
-
-def test_points_on_the_surface_have_distance_zero() -> None:
-    """A triangle through points of the grid, on its corners, on an edge and inside."""
-    corners = (START + STEP * np.array([[2, 3, 4], [2, 7, 4], [2, 3, 10]]))[None]
-    distance = Triangles(corners).distances(PLACES)
-    i, j, k = np.indices(SHAPE)
-    on_it = (i == 2) & (j >= 3) & (k >= 4) & (6 * (j - 3) + 4 * (k - 4) <= 24)
-    np.testing.assert_array_equal(distance < 1e-6, on_it)
-    np.testing.assert_allclose(distance, by_every_triangle(corners), **SINGLE)
-
-
-@pytest.mark.parametrize("width", [0.0, 1e-9, 1e-6, 1e-3])
-def test_no_needle_is_nearer_than_it_is(width: float) -> None:
+def test_no_needle_is_nearer_than_it_is() -> None:
     """A needle alone may seem farther away; in a mesh its neighbours, which share its edges, are as near."""
     rng = np.random.default_rng(8)
     ends = rng.uniform(-1, 1, (60, 2, 3))
-    needles = np.concatenate([ends, (ends.mean(axis=1) + width * rng.uniform(-1, 1, (60, 3)))[:, None]], axis=1)
-    assert (Triangles(needles).distances(PLACES) >= by_every_triangle(needles) - 2e-6).all()
     beside = np.concatenate([ends, rng.uniform(-1, 1, (60, 1, 3))], axis=1)
-    mesh = np.concatenate([needles, beside])
-    np.testing.assert_allclose(Triangles(mesh).distances(PLACES), by_every_triangle(mesh), **SINGLE)
+    for width in (0.0, 1e-9, 1e-3):
+        tips = ends.mean(axis=1) + width * rng.uniform(-1, 1, (60, 3))
+        needles = np.concatenate([ends, tips[:, None]], axis=1)
+        assert (Triangles(needles).distances(PLACES) >= by_every_triangle(needles) - 2e-6).all()
+        mesh = np.concatenate([needles, beside])
+        np.testing.assert_allclose(Triangles(mesh).distances(PLACES), by_every_triangle(mesh), **SINGLE)

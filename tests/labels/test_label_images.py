@@ -47,24 +47,6 @@ def test_box_has_its_front_depth_where_it_stands_and_zero_elsewhere() -> None:
     assert [labels[f].dtype for f in IMAGE_FIELDS] == [np.float32, np.float32, np.float32, np.int16]
 
 
-def test_sphere_depth_and_normal_follow_its_equation() -> None:
-    radius, center = 0.7, np.array([4.0, 2.2, 1.3])
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)
-    ball.apply_translation(center)
-    labels = make_labels(CONFIG, free_space(Part("ball", ball, Lambertian(0.4))), ("depth", "normal"))
-    y, z = pixel_centers()
-    across = (y - center[1]) ** 2 + (z - center[2]) ** 2
-    inner = across < (0.9 * radius) ** 2
-    front = np.sqrt(np.maximum(radius**2 - across, 0))
-    assert abs(labels["depth"][inner] - (DISTANCE_M - center[0] - front[inner])).max() < 2e-3
-    outside = across > (1.001 * radius) ** 2
-    assert not labels["depth"][outside].any()
-    # Components along (right, up, wall normal) = (−y, z, −x) of the outward normal.
-    expected = np.stack([-(y - center[1]), z - center[2], -front], axis=-1) / radius
-    assert abs(labels["normal"] - expected)[inner].max() < 0.05
-    np.testing.assert_allclose(np.linalg.norm(labels["normal"][inner], axis=-1), 1, rtol=1e-6)
-
-
 def test_tilted_plane_is_exact_at_every_pixel_centre() -> None:
     plane = Rectangle.of((4.0, 2.5, 1.25), (0.8, -3, 0), (0.5, 0.2 * 0.8 / 1.2, 2.0))
     plane = Rectangle.of(plane.center, plane.right, np.cross(plane.normal, plane.right))
@@ -92,16 +74,10 @@ def test_pixels_lie_over_those_of_a_sensor_grid(side: int) -> None:
     np.testing.assert_allclose(frame.to_view(sensor.pixels.mean(axis=1))[:, :2], places, atol=1e-12)
 
 
-@pytest.mark.parametrize("side", [1, -1])
-def test_room_is_watertight_and_walls_have_their_distance(side: int) -> None:
-    labels = make_labels(CONFIG, l_corridor(side), IMAGE_FIELDS)
-    assert (labels["part_id"] > 0).all(), "a ray slipped between triangles or saw the relay wall"
-    assert labels["depth"].max() == pytest.approx(3.0, rel=1e-6)
-    assert (labels["depth"] > 0).all()
-
-
-def test_mirrored_room_gives_the_mirrored_images() -> None:
+def test_rooms_are_watertight_and_mirrored_ones_give_mirrored_images() -> None:
     left, right = (make_labels(CONFIG, l_corridor(side), IMAGE_FIELDS) for side in (1, -1))
+    assert (left["part_id"] > 0).all(), "a ray slipped between triangles or saw the relay wall"
+    assert left["depth"].max() == pytest.approx(3.0, rel=1e-6) and (left["depth"] > 0).all()
     np.testing.assert_allclose(left["depth"], right["depth"][:, ::-1], rtol=1e-6)
     np.testing.assert_array_equal(left["part_id"], right["part_id"][:, ::-1])
     flipped = right["normal"][:, ::-1] * np.array([-1, 1, 1], np.float32)
@@ -126,19 +102,14 @@ def test_moving_and_turning_everything_changes_nothing() -> None:
     np.testing.assert_allclose(here["normal"], there["normal"], atol=1e-6)
 
 
-def test_object_touching_the_wall_is_seen_at_once() -> None:
-    scene = free_space(Part("box", box_mesh((1.0, 0.5, 0.5), (DISTANCE_M - 0.5, 2.5, 1.25)), Lambertian(0.5)))
-    labels = make_labels(CONFIG, scene, ("depth", "part_id"))
-    hit = labels["part_id"] == 1
-    assert hit.any()
-    assert ((labels["depth"] > 0) == hit).all()
-    assert labels["depth"].max() < 1e-5
-
-
-def test_empty_view_is_zero_everywhere() -> None:
-    labels = make_labels(CONFIG, free_space(), IMAGE_FIELDS)
-    assert all(not labels[f].any() for f in ("depth", "normal", "albedo"))
-    assert (labels["part_id"] == -1).all()
+def test_an_object_that_touches_the_wall_is_seen_and_nothing_is_zero() -> None:
+    box = Part("box", box_mesh((1.0, 0.5, 0.5), (DISTANCE_M - 0.5, 2.5, 1.25)), Lambertian(0.5))
+    touching, empty = (make_labels(CONFIG, of, IMAGE_FIELDS) for of in (free_space(box), free_space()))
+    hit = touching["part_id"] == 1
+    assert hit.any() and ((touching["depth"] > 0) == hit).all()
+    assert touching["depth"].max() < 1e-5
+    assert all(not empty[f].any() for f in ("depth", "normal", "albedo"))
+    assert (empty["part_id"] == -1).all()
 
 
 def test_bad_requests_are_refused() -> None:

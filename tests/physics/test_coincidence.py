@@ -62,6 +62,14 @@ def test_a_poster_lies_on_its_wall_and_a_neighbour_does_not(angle: float) -> Non
     assert not lying(trimesh.util.concatenate([wall, poster]), beside)
 
 
+def test_a_poster_is_found_on_a_wall_that_faces_two_axes_alike() -> None:
+    """At 45° rounding decides which component of a normal is the largest."""
+    for k in range(20):
+        turn = trimesh.transformations.rotation_matrix(0.75 * np.pi, (0, 0, 1), (0.1 * k, 0.2, 0.3))
+        wall, poster = (rectangle((0, 0, 1), (0, size, 0), (0, 0, size)) for size in (1.0, 0.3))
+        assert list(shared_planes(scene_of(turned(wall, turn), turned(poster, turn)))), k
+
+
 def test_shared_places_lie_in_both() -> None:
     planes = list(
         shared_planes(

@@ -23,8 +23,6 @@ from datagen import (
     simulate,
 )
 from datagen.errors import InputError, InputWarning
-from datagen.transport.error_control.confidence import Scatter, bound_factor
-from datagen.transport.path_tracing.replicate_spread import Sketch
 
 
 def test_a_laser_that_meets_nothing_has_no_shares_of_work() -> None:
@@ -72,24 +70,8 @@ def test_traps_that_would_take_minutes_to_forget_are_refused() -> None:
         detect(np.full(33, 1.0), TimeAxis(33, 1e-9), spad, Exposure(1 / 33e-9, 2, 1.0))
 
 
-@pytest.mark.parametrize("exponent", [-400, 200])
-def test_the_error_of_very_little_light(exponent: int) -> None:
-    """Where replicates deviated by 10⁻⁸⁵ the fourth power of that was divided by: a crash with a target."""
-    freedoms, factors = [], []
-    for scale in (1.0, 2.0**exponent):
-        sketch = Sketch(8)
-        for k, run in enumerate(np.random.default_rng(6).normal(size=(8, 50))):
-            sketch.add(k, run * scale, 0)
-        freedoms.append(sketch.freedom())
-        factors.append(bound_factor([Scatter(scale**2, 3.0, 8), Scatter(0.5 * scale**2, 20.0, 8)]))
-    assert freedoms[0] == freedoms[1] > 5
-    assert factors[0] == factors[1] > 1
-
-
-def test_bright_triangles_under_dark_ones_are_proven_hidden() -> None:
-    """Cells on which other triangles lie were cut as finely as the light of what covers them asked, for nothing that
-    lies on them was a proof: under what is a thousand times darker until cells were given up, a billion times for
-    minutes."""
+def test_bright_triangles_under_dark_ones_are_hidden() -> None:
+    """They took minutes of work, and were given up."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.4)
     ball.apply_translation((0.2, 0.1, 1.0))
     both = [Part(name, ball, Lambertian(albedo), "object") for name, albedo in (("under", 0.5), ("over", 0.0005))]
@@ -102,7 +84,5 @@ def test_bright_triangles_under_dark_ones_are_proven_hidden() -> None:
     with pytest.warns(InputWarning, match="'over' is taken to lie on 'under'"):
         found = simulate(Scene.from_parts([wall, *both]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
     alone = simulate(Scene.from_parts([wall, both[1]]), capture, Accuracy(target=0.02, max_bounces=3), seed=0)
-    # The one that lies on the other is 30 µm above it, and the gap between them takes work to prove dark.
-    assert found.spend.way == {"primary": "cells"} and found.spend.cost < 1e7
     assert found.parts["under"].sum() == 0.0 < found.parts["over"].sum()
     np.testing.assert_allclose(found.total.sum(), alone.total.sum(), rtol=0.02)

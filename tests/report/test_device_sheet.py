@@ -14,6 +14,8 @@ from datagen.errors import InputError
 from datagen.report.device_sheet import FRONTS_M, device_sheet, seen_by, sheet_room
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
+pytestmark = pytest.mark.usefixtures("coarse")
+
 
 def test_the_sheet_is_a_picture_and_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["device", "--sheet", str(tmp_path / "a.png"), "vl53l1x", "swissspad3"]) == 0
@@ -27,7 +29,7 @@ def test_the_sheet_is_a_picture_and_a_table(tmp_path: Path, capsys: pytest.Captu
         device_sheet([dg.device("vl53l1x")], tmp_path / "a.pdf")
 
 
-@pytest.mark.parametrize("name", ["vl53l8ch", pytest.param("phone_dots", marks=pytest.mark.nightly), "linospad2"])
+@pytest.mark.parametrize("name", ["vl53l8ch", "linospad2"])
 def test_the_brightest_zone_peaks_at_a_thing_of_the_room(name: str) -> None:
     """Its histogram's peak lies within a bin and half of the pulse of the depth of what the zone sees."""
     seen = seen_by(dg.device(name), sheet_room())

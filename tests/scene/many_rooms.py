@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from random_specs import LAYOUTS, random_spec
-from room_laws import assert_moved_devices, assert_room_laws, object_names
+from room_laws import assert_as_declared, assert_moved_devices, assert_room_laws, object_names
 
 from datagen.errors import InputError
 from datagen.scene import generate_scene
@@ -45,10 +45,8 @@ class Tally:
 
     def row(self, kind: str) -> str:
         rate = (self.rooms + self.refused) / max(self.seconds, 1e-9)
-        return (
-            f"| {kind} | {self.rooms} | {self.objects} | {self.refused} | {self.redrawn} | {self.moved} | "
-            f"{self.least_seen:.3f} | {rate:.0f} | {len(self.violations)} |"
-        )
+        counts = f"{self.rooms} | {self.objects} | {self.refused} | {self.redrawn} | {self.moved}"
+        return f"| {kind} | {counts} | {self.least_seen:.3f} | {rate:.0f} | {len(self.violations)} |"
 
 
 HEADER = (
@@ -80,6 +78,7 @@ def check_rooms(kind: str, specs: range, seed: int) -> Tally:
                 tally.refused += 1
                 continue
             assert_room_laws(scene, rng, spec.clearance_m)
+            assert_as_declared(spec, scene)
             if number % MOVED_EVERY == 0:
                 tally.moved += assert_moved_devices(scene, rng)
         except AssertionError as error:

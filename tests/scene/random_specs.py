@@ -11,9 +11,8 @@ import numpy as np
 import trimesh
 
 from datagen.config import SceneConfig, config_from_mapping
+from datagen.config.distributions import support
 from datagen.errors import InputError
-from datagen.records import Scene
-from datagen.scene import generate_scene
 from scene_library.materials import MATERIALS
 from scene_library.objects import CLASSES, GROUPS
 
@@ -35,57 +34,26 @@ def _range(rng: np.random.Generator, low: float, high: float) -> Any:
     return {"choice": [a, b, (a + b) / 2]}
 
 
-_CORRIDOR = {"relay_distance_m": (5.0, 9.0), "corridor_width_m": (1.0, 2.5), "corridor_behind_m": (0.2, 3.0)}
-_DIMENSIONS: dict[str, dict[str, tuple[float, float]]] = {
-    "straight_corridor": {
-        **_CORRIDOR,
-        "corridor_width_m": (3.0, 6.0),
-        "device_offset": (0.1, 0.35),
-        "partition_distance_m": (1.8, 4.0),
-        "partition_reach": (0.45, 0.62),
-        "partition_thickness_m": (0.02, 0.3),
-    },
-    "l_corridor": {**_CORRIDOR, "room_length_m": (2.0, 4.5), "room_width_m": (2.5, 6.0)},
-    "t_corridor": {**_CORRIDOR, "arm_width_m": (1.5, 4.0), "left_arm_m": (2.5, 6.0), "right_arm_m": (2.5, 6.0)},
-    "z_corridor": {
-        **_CORRIDOR,
-        "middle_width_m": (1.8, 4.0),
-        "middle_length_m": (4.0, 7.0),
-        "last_width_m": (1.0, 3.0),
-        "last_length_m": (0.5, 6.0),
-    },
-    "corridor_room": {
-        **_CORRIDOR,
-        "room_length_m": (2.5, 4.5),
-        "room_width_m": (5.0, 9.0),
-        "opening_offset": (0.0, 1.0),
-    },
-    "doorway_room": {
-        "relay_distance_m": (5.0, 9.0),
-        "height_m": (2.4, 4.0),
-        "door_width_m": (0.7, 1.4),
-        "door_height_m": (2.1, 2.3),
-        "wall_thickness_m": (0.05, 0.5),
-        "hall_width_m": (1.5, 5.0),
-        "hall_behind_m": (0.2, 3.0),
-        "room_length_m": (2.5, 4.5),
-        "room_width_m": (4.0, 9.0),
-        "opening_offset": (0.0, 1.0),
-    },
-    "isolated_wall": {
-        "relay_distance_m": (3.0, 5.0),
-        "wall_width_m": (1.5, 4.0),
-        "screen_to_wall_m": (1.5, 2.8),
-        "screen_offset_m": (0.1, 0.6),
-        "space_width_m": (2.0, 4.0),
-    },
-}
-LAYOUTS = tuple(_DIMENSIONS)
+LAYOUTS = (
+    "straight_corridor", "l_corridor", "t_corridor", "z_corridor", "corridor_room", "doorway_room", "isolated_wall"
+)  # fmt: skip
+
+
+@cache
+def _wider(kind: str) -> dict[str, tuple[float, float]]:
+    """Dimension of a layout → range that goes beyond the one that it has by itself."""
+    plan = config_from_mapping({"scene": {"layout": {"kind": kind}}}).scene.layout
+    ranges = {name: support(of) for name, of in plan.dimensions().items()}
+    wider = {
+        name: (0.8 * low, 1.25 * high) if name.endswith("_m") else (0.8 * low, 0.8 * high + 0.2)
+        for name, (low, high) in ranges.items()
+    }
+    # An opening may be at the very end of its wall.
+    return wider | ({"opening_offset": (0.0, 1.0)} if "opening_offset" in ranges else {})
 
 
 def _layout(rng: np.random.Generator, kind: str) -> dict[str, Any]:
-    common = {"height_m": (2.2, 4.0), "device_height_m": (0.3, 2.0), "device_offset": (0.1, 0.9)}
-    drawn = {name: _range(rng, *bounds) for name, bounds in (common | _DIMENSIONS[kind]).items()}
+    drawn = {name: _range(rng, *bounds) for name, bounds in _wider(kind).items()}
     layout = {"kind": kind, "turn": str(rng.choice(["left", "right", "random"])), **drawn}
     if rng.random() < 0.5:
         layout |= {"floor": bool(rng.random() < 0.5), "ceiling": bool(rng.random() < 0.5)}
@@ -225,13 +193,3 @@ def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
         except InputError as error:
             # Only what no draw can meet, such as a device always above the ceiling, may be refused at reading.
             assert "≥" in str(error) or "at least" in str(error), error
-
-
-def random_scene(rng: np.random.Generator, kind: str, seed: int, index: int) -> tuple[SceneConfig, Scene]:
-    """Settings and a scene of them, the first for which there is one."""
-    while True:
-        spec = random_spec(rng, kind)
-        try:
-            return spec, generate_scene(spec, seed, index)
-        except InputError:
-            continue

@@ -7,6 +7,7 @@ nothing with the plan-view tests of `scene_library`.
 from __future__ import annotations
 
 from collections import Counter
+from itertools import combinations
 
 import numpy as np
 from crossing_counts import crossing_counts
@@ -14,9 +15,11 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from datagen.capture import capture_for
-from datagen.config import config_from_mapping
+from datagen.config import SceneConfig, config_from_mapping
+from datagen.config.distributions import support
 from datagen.errors import InputError
 from datagen.records import Scene
+from scene_library.polygons import convex_hull
 
 ROOM = ("relay_wall", "walls", "floor", "ceiling", "screen")
 """The room's own parts; what else is no object is clutter before the relay wall."""
@@ -148,21 +151,35 @@ def assert_nothing_floats(scene: Scene) -> None:
             np.testing.assert_allclose([low, high], [0, height], atol=1e-9 * height, err_msg=name)
 
 
+def plan_gap(a: np.ndarray, b: np.ndarray) -> float:
+    """How far apart the convex hulls of two sets of points in plan are: the largest gap along a normal of an edge."""
+    a, b = convex_hull(a), convex_hull(b)
+    edges = np.concatenate([np.roll(polygon, -1, axis=0) - polygon for polygon in (a, b)])
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / np.linalg.norm(edges, axis=1)[:, None]
+    pa, pb = normals @ a.T, normals @ b.T
+    return float(np.maximum(pb.min(axis=1) - pa.max(axis=1), pa.min(axis=1) - pb.max(axis=1)).max())
+
+
 def assert_keeps_clear(scene: Scene, clearance_m: float) -> None:
-    """No corner of an object is nearer to a wall than the clearance; one placed at a wall is just as far from it."""
+    """No corner of an object is nearer to a wall than the clearance, and one placed at a wall is just as far from it;
+    objects are as far from each other, in plan or in height."""
     upright = room_triangles(scene, "relay_wall", "walls", "screen")
     upright = upright[np.ptp(upright[..., 2], axis=1) > 0]
     sides = np.roll(upright, -1, axis=1)[..., :2] - upright[..., :2]
     longest = np.linalg.norm(sides, axis=2).argmax(axis=1)
     start, along = upright[np.arange(len(upright)), longest, :2], sides[np.arange(len(upright)), longest]
-    for name in object_names(scene):
-        corners = np.unique(scene.corners[scene.faces_of(name)].reshape(-1, 3)[:, :2], axis=0)
-        offset = corners[:, None] - start
+    least = clearance_m * (1 - 1e-6) - 1e-9
+    placed = {name: scene.corners[scene.faces_of(name)].reshape(-1, 3) for name in object_names(scene)}
+    for name, points in placed.items():
+        offset = np.unique(points[:, :2], axis=0)[:, None] - start
         t = np.clip((offset * along).sum(-1) / (along**2).sum(-1), 0, 1)
         gap = float(np.linalg.norm(offset - t[..., None] * along, axis=-1).min())
-        assert gap > clearance_m * (1 - 1e-6) - 1e-9, f"{name}: {gap} m to the wall"
+        assert gap > least, f"{name}: {gap} m to the wall"
         if scene.parameters.get(f"{name}.placement") == "wall":
             assert gap < clearance_m * (1 + 1e-3) + 1e-6, f"{name}: {gap} m from the wall it stands against"
+    for (name, a), (other, b) in combinations(placed.items(), 2):
+        above = max(a[:, 2].min() - b[:, 2].max(), b[:, 2].min() - a[:, 2].max())
+        assert above > least or plan_gap(a[:, :2], b[:, :2]) > least, f"{name} is near {other}"
 
 
 def assert_hidden_from(scene: Scene, eye: np.ndarray, rng: np.random.Generator, points: int = 100) -> None:
@@ -203,6 +220,62 @@ def _sees_some(scene: Scene, name: str, rng: np.random.Generator) -> bool:
     return bool((crossing_counts(scene.corners, near_wall, near_it) == 0).any())
 
 
+def assert_frames_hold_the_objects(scene: Scene) -> None:
+    """Bounds and view hold every object; view and visible part lie in the relay wall's plane and face the room."""
+    low, high = scene.hidden_bounds
+    view = scene.hidden_view
+    for name in object_names(scene):
+        corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+        assert (corners >= low - 1e-9).all() and (corners <= high + 1e-9).all(), name
+        across = (corners - view.center) @ view.right
+        assert (np.abs(across) <= view.right @ view.right * (1 + 1e-9)).all(), name
+    # An uneven wall lies behind the plane.
+    wall = scene.corners[scene.faces_of("relay_wall")]
+    assert np.ptp(wall[..., 0]) == 0 or "relay_wall.kind" in scene.parameters
+    for rectangle in (scene.relay_wall, view):
+        np.testing.assert_allclose(rectangle.corners[:, 0], wall[..., 0].min())
+        np.testing.assert_allclose(rectangle.normal, [-1, 0, 0], atol=1e-12)
+
+
+def assert_no_more_is_visible(scene: Scene) -> None:
+    """Just beyond each side of the visible part, and above it, the wall is out of sight or has ended."""
+    wall = scene.relay_wall
+    surface = scene.corners[scene.faces_of("relay_wall")]
+    # Under a lintel that is out of square the rectangle ends at the lowest of the sight lines.
+    above = [] if "layout.wall_0_turned_deg" in scene.parameters else [wall.up]
+    for beyond in (wall.right, -wall.right, *above):
+        edge = wall.center + (1 + 1e-3) * beyond
+        before, behind = (edge + far * (scene.device_position - edge) for far in (1e-4, -1e-4))
+        hidden = crossing_counts(scene.corners, scene.device_position[None], before[None]).any()
+        assert hidden or not crossing_counts(surface, before[None], behind[None]).any()
+
+
+def assert_as_declared(spec: SceneConfig, scene: Scene) -> None:
+    """Parameters lie in their ranges, and the triangles and materials are those of the parameters."""
+    p = scene.parameters
+    declared = {f"layout.{name}": of for name, of in spec.layout.dimensions().items()}
+    declared |= {n: spec.layout.out_of_square_deg for n, of in p.items() if n.endswith("_turned_deg") and of != 0}
+    for name, distribution in declared.items():
+        low, high = support(distribution)
+        assert low <= p[name] <= high, name
+    for name in ("floor", "ceiling"):
+        assert (name in scene.part_names) == getattr(spec.layout, name)
+    for name, material in zip(scene.part_names, scene.materials, strict=True):
+        assert p[f"{name}.albedo"] == material.albedo
+    np.testing.assert_allclose(np.ptp(scene.vertices[:, 2]), p["layout.height_m"], rtol=1e-12)
+    for name in object_names(scene):
+        corners = scene.corners[scene.faces_of(name)].reshape(-1, 3)
+        np.testing.assert_allclose(np.ptp(corners[:, 2]), p[f"{name}.height_m"], rtol=1e-9)
+        # Along its own axes the object is as wide and deep as was drawn, and stands where the pose says.
+        turn = np.radians(p[f"{name}.rotation_deg"])
+        axis = np.array([np.cos(turn), np.sin(turn)])
+        for unit, size in ((axis, "width_m"), (np.array([-axis[1], axis[0]]), "depth_m")):
+            reach = corners[:, :2] @ unit
+            np.testing.assert_allclose(np.ptp(reach), p[f"{name}.{size}"], rtol=1e-9)
+            place = unit @ [p[f"{name}.x_m"], p[f"{name}.y_m"]]
+            np.testing.assert_allclose((reach.min() + reach.max()) / 2, place, atol=1e-9)
+
+
 def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float | None = None) -> None:
     if scene.parameters["layout.kind"] != "isolated_wall":
         assert_closed_surface(scene)
@@ -213,6 +286,8 @@ def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float 
         assert_keeps_clear(scene, clearance_m)
     assert_hidden(scene, rng)
     assert_seen_from_wall(scene, rng)
+    assert_frames_hold_the_objects(scene)
+    assert_no_more_is_visible(scene)
 
 
 MISPLACED = ("behind the plane of the relay wall", "hides", "in plain sight", "outside the room")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -26,14 +25,6 @@ def contents(*items: dict[str, Any], base: Path | str = ".", **scene: Any) -> Sc
     return config_from_mapping({"scene": {"contents": list(items), **scene}}, base_directory=base).scene
 
 
-def test_there_are_many_classes() -> None:
-    plain = [name for group, names in GROUPS.items() if group not in ("letters", "digits") for name in names]
-    assert len(plain) >= 25
-    assert len(GROUPS["letters"]) == 26
-    assert len(GROUPS["digits"]) == 10
-    assert sorted(name for names in GROUPS.values() for name in names) == sorted(CLASSES)
-
-
 def volume_of_closed(solid: Solid) -> float:
     """Its volume; closed by the divergence theorem: the vector area is zero; outward: the volume is positive."""
     corners = solid.vertices[solid.triangles]
@@ -44,21 +35,6 @@ def volume_of_closed(solid: Solid) -> float:
     volume = float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
     assert volume > 0
     return volume
-
-
-@pytest.mark.parametrize("name", CLASSES)
-def test_every_class_is_a_closed_solid_standing_at_the_origin(name: str) -> None:
-    solids = [build(name, np.random.default_rng(seed)) for seed in range(4)]
-    for solid in solids:
-        volume = volume_of_closed(solid)
-        low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
-        assert volume <= np.prod(high - low) * (1 + 1e-9)
-        np.testing.assert_allclose((low + high)[:2], 0, atol=1e-12)
-        assert 0.05 < (high - low).max() < 2.5
-        np.testing.assert_allclose(solid.top_m, high[2])
-    assert not np.array_equal(solids[0].vertices, solids[1].vertices)
-    again = build(name, np.random.default_rng(0))
-    np.testing.assert_array_equal(again.vertices, solids[0].vertices)
 
 
 class Corners(np.random.Generator):
@@ -79,62 +55,64 @@ class Corners(np.random.Generator):
         return int(super().random() < 0.5)
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_every_class_holds_at_the_corners_of_its_proportions(name: str) -> None:
-    """Regression: a tall pot under a low plant left no height for leaves, once in two hundred plants."""
-    for seed in range(2 if name.startswith(("letter", "digit")) else 24):
-        volume_of_closed(build(name, Corners(seed)))
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_class_is_a_closed_solid_standing_at_the_origin(group: str) -> None:
+    """At the corners of its proportions, too. Regression: a tall pot under a low plant left no height for leaves,
+    once in two hundred plants."""
+    for name in GROUPS[group]:
+        solids = [build(name, np.random.default_rng(seed)) for seed in (0, 1)]
+        for solid in solids:
+            low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+            assert volume_of_closed(solid) <= np.prod(high - low) * (1 + 1e-9)
+            np.testing.assert_allclose((low + high)[:2], 0, atol=1e-12)
+            assert 0.05 < (high - low).max() < 2.5
+            np.testing.assert_allclose(solid.top_m, high[2])
+        assert not np.array_equal(solids[0].vertices, solids[1].vertices)
+        np.testing.assert_array_equal(build(name, np.random.default_rng(0)).vertices, solids[0].vertices)
+        for seed in range(2 if group in ("letters", "digits") else 12):
+            volume_of_closed(build(name, Corners(seed)))
+
+
+def test_every_class_is_in_one_group() -> None:
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(CLASSES)
 
 
 def test_union_has_the_area_of_the_union() -> None:
-    """Random overlapping polygons, one with a hole: the plate's faces cover what a point test says."""
+    """Random overlapping polygons: the plate's faces cover what a point test says."""
     rng = np.random.default_rng(3)
-    for _ in range(20):
+    for _ in range(8):
         polygons = [
             regular_polygon(rng.uniform(0.3, 1.0), int(rng.integers(3, 9))) @ rotation(rng.uniform(0, 6)).T
             + rng.uniform(-0.3, 0.3, 2)
             for _ in range(int(rng.integers(1, 5)))
         ]
-        vertices, faces = union_plate(polygons, 0.1)
-        plate = trimesh.Trimesh(vertices, faces, process=False)
-        corners = plate.triangles
-        np.testing.assert_allclose(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0), 0, atol=1e-9
-        )
+        plate = trimesh.Trimesh(*union_plate(polygons, 0.1), process=False)
         points = rng.uniform(-1, 1, (400, 2))
         inside = np.any([contains(p, points) for p in polygons], axis=0)
         start = np.column_stack([points[:, 0], np.full(400, -1.0), points[:, 1]])
-        hits = crossing_counts(corners, start, start + np.array([0.0, 2.0, 0.0]))
+        hits = crossing_counts(plate.triangles, start, start + np.array([0.0, 2.0, 0.0]))
         np.testing.assert_array_equal(hits, np.where(inside, 2, 0))
         np.testing.assert_allclose(plate.volume / 0.1, 4 * inside.mean(), atol=5 * 4 * 0.5 / np.sqrt(400))
 
 
-def test_objects_without_a_name_have_that_of_their_class() -> None:
+def test_objects_have_the_name_of_their_class_unless_given_one_and_the_height_drawn() -> None:
     names = {"chair", "vase", "letter_a", "digit_7"}
-    spec = contents({"kind": "library", "classes": sorted(names)})
-    drawn = [generate_scene(spec, 0, i) for i in range(40)]
-    assert {object_names(scene)[0] for scene in drawn} == names
-    assert all(scene.parameters[f"{object_names(scene)[0]}.class"] == object_names(scene)[0] for scene in drawn)
+    for given, allowed in (({}, names), ({"name": "thing"}, {"thing"})):
+        spec = contents({"kind": "library", "classes": sorted(names), "height_m": 0.5, **given})
+        drawn = [generate_scene(spec, 0, i) for i in range(24)]
+        assert {object_names(scene)[0] for scene in drawn} == allowed
+        assert {scene.parameters[f"{object_names(scene)[0]}.class"] for scene in drawn} == names
+    spec = contents({"kind": "library", "classes": ["shapes"], "name": "it"})
+    assert {generate_scene(spec, 1, i).parameters["it.class"] for i in range(12)} <= set(GROUPS["shapes"])
 
 
-def test_groups_and_heights() -> None:
-    spec = contents({"kind": "library", "classes": ["shapes"], "height_m": 0.5, "name": "thing"})
-    seen = set()
-    for index in range(60):
-        scene = generate_scene(spec, 1, index)
-        seen.add(scene.parameters["thing.class"])
-        np.testing.assert_allclose(np.ptp(scene.corners[scene.faces_of("thing")][..., 2]), 0.5)
-    assert seen <= set(GROUPS["shapes"])
-    assert len(seen) > 8
-
-
-@pytest.mark.parametrize("kind", ["l_corridor", "t_corridor", "doorway_room", "straight_corridor"])
+@pytest.mark.parametrize("kind", ["l_corridor", "doorway_room", "straight_corridor"])
 def test_wall_placement_puts_the_back_to_a_wall(kind: str) -> None:
     """The back face lies one clearance before a wall: straight behind the middle there is wall at once."""
     item = {"kind": "library", "classes": ["wardrobe"], "height_m": 1.5, "placement": "wall", "name": "it"}
     layout = {"kind": kind, "out_of_square_deg": {"uniform": [-3, 3]}}
     spec = contents(item, layout=layout, clearance_m=0.03)
-    for index in range(15):
+    for index in range(4):
         scene = generate_scene(spec, 2, index)
         p = scene.parameters
         turn = np.radians(p["it.rotation_deg"] + 90)
@@ -144,12 +122,6 @@ def test_wall_placement_puts_the_back_to_a_wall(kind: str) -> None:
         assert crossing_counts(walls, start[None], (start + 0.0301 * back)[None]).any()
         assert not crossing_counts(walls, start[None], (start + 0.0299 * back)[None]).any()
         assert_room_laws(scene, np.random.default_rng(index), spec.clearance_m)
-
-
-def test_wall_placement_in_the_open_is_refused_with_the_reason() -> None:
-    spec = contents({"kind": "box", "placement": "wall"}, layout={"kind": "isolated_wall"}, max_attempts=5)
-    with pytest.raises(InputError, match="found no wall to stand against: set its placement to floor"):
-        generate_scene(spec, 0, 0)
 
 
 def test_round_pillars_are_round() -> None:
@@ -175,28 +147,20 @@ def test_mesh_folders_give_class_labels(tmp_path: Path) -> None:
     _folder(tmp_path)
     spec = contents({"kind": "mesh_folder", "path": "zoo", "height_m": 0.5}, base=tmp_path)
     check_scene_config(spec)
-    sent = pickle.loads(pickle.dumps(spec))
     labels, files = [], set()
-    for index in range(150):
+    for index in range(60):
         scene = generate_scene(spec, 0, index)
         (name,) = object_names(scene)
         labels.append(scene.parameters[f"{name}.class"])
         files.add(scene.parameters[f"{name}.file"])
-        if index < 5:
-            assert generate_scene(sent, 0, index).parameters == scene.parameters
     assert stats.chisquare([labels.count(n) for n in ("ball", "block", "Party Hat")]).pvalue > 1e-3
-    assert files == {
-        "zoo/ball/one.ply",
-        "zoo/ball/deep/two.stl",
-        "zoo/block/one.ply",
-        "zoo/block/deep/two.stl",
-        "zoo/Party Hat.obj",
-    }
+    deep = {f"zoo/{label}/{name}" for label in ("ball", "block") for name in ("one.ply", "deep/two.stl")}
+    assert files == deep | {"zoo/Party Hat.obj"}
     only = contents({"kind": "mesh_folder", "path": "zoo", "classes": ["block"]}, base=tmp_path)
     assert object_names(generate_scene(only, 0, 0)) == ["block"]
 
 
-def test_mesh_folders_are_part_of_the_fingerprint(tmp_path: Path) -> None:
+def test_fingerprint_follows_the_meshes_of_a_folder(tmp_path: Path) -> None:
     folder = _folder(tmp_path)
     item = {"kind": "mesh_folder", "path": "zoo"}
     first = contents(item, base=tmp_path).mesh_digests()
@@ -210,12 +174,11 @@ def test_mesh_folders_are_part_of_the_fingerprint(tmp_path: Path) -> None:
 def test_bad_folders_are_refused(tmp_path: Path) -> None:
     folder = _folder(tmp_path)
     (tmp_path / "empty").mkdir()
-    cases = {
-        "nowhere": "no such folder",
-        "empty": "holds no mesh files",
-        "zoo/readme.txt": "is a file",
-    }
-    for path, reason in cases.items():
+    for path, reason in (
+        ("nowhere", "no such folder"),
+        ("empty", "holds no mesh files"),
+        ("zoo/readme.txt", "a file"),
+    ):
         with pytest.raises(InputError, match=reason):
             contents({"kind": "mesh_folder", "path": path}, base=tmp_path)
     with pytest.raises(InputError, match=r"'cat' is not a sub-folder of 'zoo' with meshes; .*Hat, ball, block"):

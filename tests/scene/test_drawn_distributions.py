@@ -61,19 +61,9 @@ def declared(kind: str) -> tuple[SceneConfig, dict[str, tuple[float, float]]]:
     return config_from_mapping({"scene": scene}).scene, ranges
 
 
-def departures(p_values: dict[str, float], level: float = LEVEL) -> list[str]:
-    """Names refused at a family-wise level (Holm 1979)."""
-    refused = []
-    for rank, name in enumerate(sorted(p_values, key=p_values.__getitem__)):
-        if p_values[name] > level / (len(p_values) - rank):
-            break
-        refused.append(name)
-    return refused
-
-
 @pytest.mark.parametrize("scenes", [12, pytest.param(400, marks=pytest.mark.nightly)])
 def test_every_declared_parameter_of_every_layout(scenes: int) -> None:
-    """Kolmogorov–Smirnov, and χ² of sides and classes; over all of all layouts at the family-wise level 1e-3."""
+    """Kolmogorov–Smirnov, and χ² of sides and classes; over all of all layouts at the level 1e-3 (Bonferroni)."""
     p_values: dict[str, float] = {}
     for kind in LAYOUTS:
         spec, ranges = declared(kind)
@@ -89,7 +79,7 @@ def test_every_declared_parameter_of_every_layout(scenes: int) -> None:
             every = np.pad(counts, (0, ways - len(counts)))
             p_values[f"{kind} {name}"] = stats.chisquare(every).pvalue
     assert len(p_values) > 200
-    assert departures(p_values) == []
+    assert [name for name, p in p_values.items() if p < LEVEL / len(p_values)] == []
 
 
 def _tight() -> SceneConfig:
@@ -109,6 +99,6 @@ def _large_share(scenes: int) -> tuple[float, float]:
 def test_what_is_hard_to_place_is_drawn_as_often_as_declared() -> None:
     """Regression: a room that failed used to be drawn again with all its objects, so that large ones were rarer (here
     in a fifth of all rooms)."""
-    p_value, redrawn = _large_share(100)
+    p_value, redrawn = _large_share(60)
     assert redrawn < 0.1
     assert p_value > LEVEL

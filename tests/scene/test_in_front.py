@@ -17,8 +17,6 @@ from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster
 from scene_library.sightlines import first_faces
 
-READY = "configs/open_space_meshes.yaml"
-
 
 def bench(contents: list[dict[str, Any]], **layout: Any) -> DatasetConfig:
     return config_from_mapping(
@@ -56,46 +54,40 @@ def check_before_the_wall(config: DatasetConfig, scene: Scene, index: int) -> No
 
 
 def test_ready_configuration_has_its_objects_inside_the_scan() -> None:
-    config = load_config(READY)
-    for index in range(12):
+    """And its scan points are the middles of the label pixels."""
+    config = load_config("configs/open_space_meshes.yaml")
+    for index in range(4):
         scene = generate_scene(config.scene, config.seed, index)
         check_before_the_wall(config, scene, index)
-        targets = ViewFrame.of(scene).to_view(capture_for(config, scene, config.seed, index).laser.targets)
+        frame = ViewFrame.of(scene)
+        targets = frame.to_view(capture_for(config, scene, config.seed, index).laser.targets)[:, :2]
         for vertices in objects_of(scene).values():
-            across = ViewFrame.of(scene).to_view(vertices)[:, :2]
-            assert (across.min(axis=0) > targets[:, :2].min(axis=0)).all()
-            assert (across.max(axis=0) < targets[:, :2].max(axis=0)).all()
-
-
-def test_scan_points_are_the_middles_of_label_pixels() -> None:
-    config = load_config(READY)
-    scene = generate_scene(config.scene, config.seed, 0)
-    targets = ViewFrame.of(scene).to_view(capture_for(config, scene, config.seed, 0).laser.targets)
-    frame = ViewFrame.of(scene)
-    middles = pixel_places(config.labels.rows, config.labels.columns, frame.half_width_m, frame.half_height_m)
-    assert np.allclose(targets[:, :2], middles, atol=1e-9)
+            across = frame.to_view(vertices)[:, :2]
+            assert (across.min(axis=0) > targets.min(axis=0)).all()
+            assert (across.max(axis=0) < targets.max(axis=0)).all()
+        middles = pixel_places(config.labels.rows, config.labels.columns, frame.half_width_m, frame.half_height_m)
+        assert np.allclose(targets, middles, atol=1e-9)
 
 
 @pytest.mark.parametrize("turn", ["left", "right"])
 def test_any_contents_stand_before_the_wall(turn: str) -> None:
     items = [{"kind": "pillar", "width_m": 0.2}, {"kind": "box", "height_m": 0.4, "count": 2}, {"kind": "library"}]
     config = bench(items, turn=turn)
-    for index in range(6):
+    for index in range(3):
         check_before_the_wall(config, generate_scene(config.scene, 5, index), index)
 
 
 @pytest.mark.parametrize("turn", ["left", "right"])
-@pytest.mark.parametrize("layout", ["isolated_wall", "l_corridor", "corridor_room"])
+@pytest.mark.parametrize("layout", ["isolated_wall", "l_corridor"])
 def test_distances_and_offsets_are_those_asked_for(layout: str, turn: str) -> None:
     """Metres from the relay wall, and to the right of the middle of what the device sees of it."""
-    front = {"place": "in_front"} if layout == "isolated_wall" else {}
-    offset = {"uniform": [-0.5, 0.5]} if front else None
+    front = layout == "isolated_wall"
     item = {"kind": "box", "width_m": 0.2, "depth_m": 0.2, "height_m": 0.3, "distance_m": {"uniform": [0.7, 1.3]}}
-    given = {"scene": {"layout": {"kind": layout, "turn": turn, **front}, "contents": [item]}}
-    item |= {} if offset is None else {"offset_m": offset}
-    config = config_from_mapping(given)
+    item |= {"offset_m": {"uniform": [-0.5, 0.5]}} if front else {}
+    walls = {"kind": layout, "turn": turn} | ({"place": "in_front"} if front else {})
+    config = config_from_mapping({"scene": {"layout": walls, "contents": [item]}})
     found = []
-    for index in range(16):
+    for index in range(10):
         scene = generate_scene(config.scene, 3, index)
         wall = scene.relay_wall
         assert wall is not None
@@ -109,8 +101,7 @@ def test_distances_and_offsets_are_those_asked_for(layout: str, turn: str) -> No
         assert 0 <= float(scene.parameters["box.along"]) <= 1
     offsets, depths = np.array(found).T
     assert (depths >= 0.7).all() and (depths <= 1.3).all() and np.ptp(depths) > 0.3
-    if offset is not None:
-        assert np.abs(offsets).max() <= 0.5 and offsets.min() < -0.2 and offsets.max() > 0.2
+    assert not front or (np.abs(offsets).max() <= 0.5 and offsets.min() < -0.2 and offsets.max() > 0.2)
 
 
 @pytest.mark.parametrize("place", ["beside", "in_front"])
@@ -140,24 +131,3 @@ def test_what_is_wrong_is_said_in_one_line(layout: dict[str, Any], item: dict[st
         bench([{"kind": "box", **item}], **layout)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("layout", "says"),
-    [
-        (
-            {"relay_distance_m": 3.0},
-            r"raise space_depth_m \(1.8 … 2.4\) or lower relay_distance_m",
-        ),
-        ({"device_height_m": 9.0}, r"the device is above the ceiling: lower device_height_m \(9\) or raise height_m"),
-    ],
-)
-def test_dimensions_that_contradict_each_other_are_refused(layout: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
-        generate_scene(bench([{"kind": "box"}], **layout).scene, 1, 0)
-
-
-def test_objects_nearer_than_the_device_are_refused_by_name() -> None:
-    config = bench([{"kind": "box", "width_m": 0.2, "distance_m": 0.25}], relay_distance_m=0.4)
-    with pytest.raises(InputError, match=r"scene\.contents\[0\]\.across .* or distance_m \(0\.25\)"):
-        generate_scene(config.scene.model_copy(update={"max_attempts": 5}), 1, 0)

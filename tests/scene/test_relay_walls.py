@@ -1,4 +1,4 @@
-"""Uneven relay walls and clutter before them: the laws of rooms still hold, the relief is what was declared."""
+"""Uneven relay walls and clutter before them; `test_rooms.py` holds their rooms to the laws of rooms."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from random_specs import LAYOUTS
-from room_laws import assert_room_laws, object_names
+from room_laws import object_names
 from scipy import stats
 from scipy.special import ndtri
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError
 from datagen.labels import make_labels
 from datagen.records import Scene
 from scene_library.relief import bumpy
@@ -23,63 +21,29 @@ KINDS = ("curved", "corrugated", "bumpy", "stepped")
 
 def configured(layout: str = "l_corridor", relay: dict[str, Any] | None = None, **more: Any) -> DatasetConfig:
     walls = {"kind": layout} | ({} if relay is None else {"relay_wall": relay})
-    return config_from_mapping({"scene": {"layout": walls, **more.pop("scene", {})}, **more})
+    return config_from_mapping({"scene": {"layout": walls}, **more})
 
 
 def part(scene: Scene, name: str) -> np.ndarray:
     return scene.corners[scene.faces_of(name)].reshape(-1, 3)
 
 
-@pytest.mark.parametrize(
-    ("layout", "kind"),
-    [
-        # By day every layout and, at least once, every kind.
-        pytest.param(layout, kind, marks=() if i % len(KINDS) == k else pytest.mark.nightly)
-        for i, layout in enumerate(LAYOUTS)
-        for k, kind in enumerate(KINDS)
-    ],
-)
-def test_rooms_keep_their_laws(layout: str, kind: str) -> None:
-    relay = {
-        "kind": kind, "relief_m": {"uniform": [0.02, 0.3]}, "length_m": {"uniform": [0.3, 0.6]},
-        "ridges": "vertical" if len(layout) % 2 else "horizontal", "max_triangles": 6000,
-        "clutter": {"count": {"uniform": [0, 4]}},
-    }  # fmt: skip
-    closed = layout != "isolated_wall"
-    config = configured(layout, relay, scene={} if closed else {"contents": [{"kind": "box", "height_m": 0.5}]})
-    if closed:
-        turned = {"kind": layout, "relay_wall": relay, "out_of_square_deg": {"uniform": [-8, 8]}}
-        config = config_from_mapping({"scene": {"layout": turned}})
-    index = LAYOUTS.index(layout) + 10 * KINDS.index(kind)
-    assert_room_laws(dg.generate_scene(config.scene, 4, index), np.random.default_rng(index), 0.02)
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_relief_lies_behind_the_plane_and_is_as_deep_as_declared(kind: str) -> None:
+def test_relief_lies_behind_the_plane_and_covers_it_once(kind: str) -> None:
+    """As deep as declared; a height field covers every point once: projected areas add up to the rectangle's."""
     relay = {"kind": kind, "relief_m": 0.12, "length_m": 0.4, "max_triangles": 6000}
-    scene = dg.generate_scene(configured("t_corridor", relay).scene, 0, 1)
-    flat = dg.generate_scene(configured("t_corridor").scene, 0, 1)
+    scene, flat = (dg.generate_scene(configured("t_corridor", of).scene, 0, 1) for of in (relay, None))
     depth = part(scene, "relay_wall")[:, 0] - scene.relay_wall.center[0]
     assert depth.min() == 0
     assert 0.08 < depth.max() < 0.12 + 1e-12
     assert len(scene.faces_of("relay_wall")) <= 6000
-    np.testing.assert_array_equal(
-        [part(scene, "relay_wall").min(axis=0)[1:], part(scene, "relay_wall").max(axis=0)[1:]],
-        [part(flat, "relay_wall").min(axis=0)[1:], part(flat, "relay_wall").max(axis=0)[1:]],
-    )
+    for end in (np.min, np.max):
+        np.testing.assert_array_equal(*(end(part(of, "relay_wall"), axis=0)[1:] for of in (scene, flat)))
     assert scene.parameters["relay_wall.relief_m"] == 0.12
-
-
-def test_area_of_the_wall_in_its_plane_is_that_of_the_flat_one() -> None:
-    """A height field covers every point of the plane once: projected areas add up to the rectangle's."""
-    for kind in KINDS:
-        relay = {"kind": kind, "relief_m": 0.1, "length_m": 0.4, "max_triangles": 6000}
-        scene = dg.generate_scene(configured(relay=relay).scene, 0, 2)
-        t = scene.corners[scene.faces_of("relay_wall")]
-        projected = 0.5 * np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 0]
-        assert (np.abs(projected) > 0).all() and (np.sign(projected) == np.sign(projected[0])).all()
-        extent = np.ptp(t.reshape(-1, 3), axis=0)
-        assert abs(projected.sum()) == pytest.approx(extent[1] * extent[2], rel=1e-9)
+    t = scene.corners[scene.faces_of("relay_wall")]
+    projected = 0.5 * np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0])[:, 0]
+    assert (np.abs(projected) > 0).all() and (np.sign(projected) == np.sign(projected[0])).all()
+    assert abs(projected.sum()) == pytest.approx(np.prod(np.ptp(t.reshape(-1, 3), axis=0)[1:]), rel=1e-9)
 
 
 def test_bumps_have_the_declared_correlation_and_depths() -> None:
@@ -95,19 +59,11 @@ def test_bumps_have_the_declared_correlation_and_depths() -> None:
         assert np.arctanh(found) == pytest.approx(np.arctanh(expected), abs=4 / np.sqrt(600))
 
 
-def test_a_flat_wall_draws_nothing() -> None:
-    plain, named = configured(), configured(relay={"kind": "flat", "clutter": {"count": 0}})
-    for index in range(3):
-        one, other = (dg.generate_scene(c.scene, 3, index) for c in (plain, named))
-        np.testing.assert_array_equal(one.vertices, other.vertices)
-        assert one.parameters == other.parameters
-
-
 def test_clutter_stands_before_the_visible_wall_and_labels_look_through_it() -> None:
     relay = {"kind": "flat", "clutter": {"count": 3, "reach_m": 0.2, "width_m": 0.2}}
     config = configured("corridor_room", relay)
     kinds = set()
-    for index in range(8):
+    for index in range(5):
         scene = dg.generate_scene(config.scene, 1, index)
         names = [n for n in scene.part_names if n.startswith("clutter_")]
         assert len(names) == 3
@@ -140,35 +96,3 @@ def test_labels_keep_to_the_nominal_plane() -> None:
         made.append(make_labels(config.labels, dg.generate_scene(config.scene, 0, 0), fields))
     for name, values in made[0].items():
         np.testing.assert_array_equal(values, made[1][name])
-
-
-def test_laser_points_fall_on_relief_and_clutter() -> None:
-    relay = {
-        "kind": "stepped", "relief_m": 0.1, "length_m": 0.3,
-        "clutter": {"kinds": ["pillar"], "count": 2, "width_m": 0.3, "reach_m": 0.2},
-    }  # fmt: skip
-    config = configured(relay=relay, capture={"scan": {"rows": 8, "columns": 12}, "sensor_offset_m": [0, 0, 0.1]})
-    scene = dg.generate_scene(config.scene, 2, 0)
-    capture = dg.capture_for(config, scene)
-    transient = dg.simulate(scene, capture, dg.Accuracy(lookins=8))
-    before = scene.relay_wall.center[0] - transient.laser_points[:, 0]
-    assert np.isfinite(before).all()
-    assert before.max() == pytest.approx(0.21)
-    assert -0.1 <= before.min() < -0.02
-    # Each lies on the ray to its target in the nominal plane.
-    ray = capture.laser.targets - capture.laser.position
-    reached = transient.laser_points - capture.laser.position
-    assert np.linalg.norm(np.cross(ray, reached), axis=1).max() < 1e-9
-
-
-def test_what_cannot_be_is_refused_in_one_line() -> None:
-    fine = configured(relay={"kind": "bumpy", "length_m": 0.02, "max_triangles": 200}, scene={"max_attempts": 3})
-    with pytest.raises(
-        InputError, match=r"scene\.layout: relay_wall\.max_triangles = 200: bumps of 0\.02 m need \d+"
-    ):
-        dg.generate_scene(fine.scene, 0, 0)
-    full = configured(relay={"clutter": {"count": 40, "width_m": 0.5}}, scene={"max_attempts": 3})
-    with pytest.raises(
-        InputError, match=r"relay_wall\.clutter .* has no place .*: lower its count, width_m or reach"
-    ):
-        dg.generate_scene(full.scene, 0, 0)

@@ -85,16 +85,8 @@ def dies_at_5(config: DatasetConfig, index: int) -> Sample:
 
 
 def dies_once_at_5(config: DatasetConfig, index: int) -> Sample:
-    """Dies over scene 5 the first time; the description of the configuration names the file that remembers."""
-    remembered = Path(config.description)
-    if index == 5 and not remembered.exists():
-        remembered.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return fake_sample(config, index)
-
-
-def dies_once_at_5_and_tells(config: DatasetConfig, index: int) -> Sample:
-    """The same; the file has a line for each scene that was begun."""
+    """Dies over scene 5 the first time. The description of the configuration names a file, to which each scene that
+    is begun adds a line."""
     begun = Path(config.description)
     with begun.open("a") as file:
         file.write(f"{index}\n")

@@ -9,7 +9,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import kills
@@ -72,10 +72,9 @@ Outcome = Counter[str]
 
 def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int, said: str = "") -> Outcome:
     """The outcome of a kill: what readers get from the dataset, and whether building again completes it."""
-    kept, digest, told_so = intact(root), dataset_digest(due), Outcome(harmed=harms)
+    kept, (digest, expected), told_so = intact(root), _of_whole(due), Outcome(harmed=harms)
     told_so["traceback"] += "Traceback" in said
     try:
-        expected = read(due, 0, ("histogram",))
         for memory in MEMORIES:
             got = told(partial(read, root, memory, ("histogram",)))
             told_so["silent"] += got is not None and not got.items() <= expected.items()
@@ -91,9 +90,15 @@ def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int
     return told_so
 
 
-def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Outcome:
+@cache
+def _of_whole(due: Path) -> tuple[str, dict[str, bytes]]:
+    """Digest and values of a dataset that nothing happens to."""
+    return dataset_digest(due), read(due, 0, ("histogram",))
+
+
+def kills_between_steps(number: int | None, folder: Path, mending: bool) -> Outcome:
     """A build, or (`mending`) one that tries a scene anew, makes a damaged shard again and restores dataset.json,
-    is gone at each of the steps, those that there are."""
+    is gone at so many of its steps, spread evenly, or at every one."""
     due, harmed_one, outcome = folder / "due", folder / "harmed", Outcome()
     build_fakes(SHORT, due)
     if mending:
@@ -101,13 +106,21 @@ def kills_between_steps(steps: Iterator[int], folder: Path, mending: bool) -> Ou
             build(SHORT, harmed_one, progress=False, sample_function=fails_at_5)
         (harmed_one / "dataset.json").unlink()
         (harmed_one / "data.zarr/histogram/c/0/0/0/0").write_bytes(b"")
-    for step in steps:
-        root = shutil.copytree(harmed_one, folder / "set") if mending else folder / "set"
-        resume = partial(build_fakes, SHORT, root)
-        if not kills.killed_at(step, resume):
-            break
+    root = folder / "set"
+    resume = partial(build_fakes, SHORT, root)
+
+    def afresh() -> None:
+        shutil.rmtree(root, ignore_errors=True)
+        if mending:
+            shutil.copytree(harmed_one, root)
+
+    afresh()
+    steps = kills.steps_of(resume)
+    number = steps if number is None else number
+    for step in ((2 * n + 1) * steps // (2 * number) for n in range(number)):
+        afresh()
+        assert kills.killed_at(step, resume), f"step {step} of {steps} was not reached"
         outcome += after_a_kill(root, resume, due, 1)
-        shutil.rmtree(root)
     return outcome
 
 

@@ -21,18 +21,14 @@ import harm
 from kills import KILLED
 
 HEAD = "| what | harmed | found before mending | lost | silent | tracebacks |\n|---|---|---|---|---|---|"
-BUILD_STEPS, MENDING_STEPS = 215, 115
-"""Slightly more steps than a build has."""
 
 
 def rows(kills: int, corruptions: int, seed: int) -> Iterator[tuple[str, Callable[[Path], harm.Outcome]]]:
     """(name, function of an empty folder) of each row of the table."""
     each = kills // 8
-    for mending, share, most in ((False, 2 * each, BUILD_STEPS), (True, kills - 6 * each, MENDING_STEPS)):
+    for mending, share in ((False, 2 * each), (True, kills - 6 * each)):
         named = "between two steps of " + ("mending a dataset" if mending else "a build")
-        first = random.Random(seed).uniform(0, most / share) if share else 0.0
-        steps = [int(first + most * n / share) for n in range(share)]
-        yield named, lambda folder, steps=steps, m=mending: harm.kills_between_steps(iter(steps), folder, m)
+        yield named, lambda folder, n=share, m=mending: harm.kills_between_steps(n, folder, m)
     for what in KILLED:
         rng = random.Random(f"{seed} {what}")
         yield f"{what} killed", lambda folder, w=what, r=rng: harm.kills_of_processes(w, each, folder, r)

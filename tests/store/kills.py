@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import random
 import signal
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 from fake_samples import fake_sample, small_config
 
 from datagen.config import DatasetConfig
@@ -65,25 +67,38 @@ def in_a_child(call: Callable[[], object]) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
+@contextlib.contextmanager
+def before_each_step(do: Callable[[], None]) -> Iterator[None]:
+    """While `do` is called before each of `STEPS`."""
+
+    def watched(change: Callable[..., Any]) -> Callable[..., Any]:
+        def changed(*args: Any, **options: Any) -> Any:
+            do()
+            return change(*args, **options)
+
+        return changed
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in STEPS:
+            patch.setattr(os, name, watched(getattr(os, name)))
+        yield
+
+
+def steps_of(call: Callable[[], object]) -> int:
+    """How many steps `call` takes."""
+    steps: list[None] = []
+    with before_each_step(lambda: steps.append(None)):
+        call()
+    return len(steps)
+
+
 def killed_at(step: int, call: Callable[[], object]) -> bool:
-    """Whether `call` reaches a step (a call of `STEPS`). It runs in a process that ends at that step."""
+    """Whether `call` reaches a step. It runs in a process that ends at that step."""
 
     def dying() -> None:
-        left = step
-
-        def counted(change: Callable[..., Any]) -> Callable[..., Any]:
-            def changed(*args: Any, **options: Any) -> Any:
-                nonlocal left
-                left -= 1
-                if left < 0:
-                    os._exit(9)
-                return change(*args, **options)
-
-            return changed
-
-        for name in STEPS:
-            setattr(os, name, counted(getattr(os, name)))
-        call()
+        left = itertools.repeat(None, step)
+        with before_each_step(lambda: os._exit(9) if next(left, 9) else None):
+            call()
 
     status = in_a_child(dying)
     assert status in (0, 9), f"the build ended with {status} before step {step}"

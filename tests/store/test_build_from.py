@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from rooms import rectangle
 
 import datagen as dg
 from datagen.config import config_from_mapping
@@ -17,20 +18,24 @@ from datagen.pipeline import SceneLight, Setup, sample_from, simulated_light
 from datagen.store import verify
 from datagen.store.info import info
 
+pytestmark = pytest.mark.usefixtures("builds_here")
+
 QUICK = {"transport": {"lookins": 64, "fov_samples": 1}, "labels": {"rows": 8, "columns": 8}}
 TIME = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
 
 
-def room(x: float) -> dg.Scene:
+def room_of(*parts: dg.Part, **parameters: float) -> dg.Scene:
+    """A relay wall x = 0, and parts before it."""
     wall = trimesh.creation.box((0.1, 4, 3)).apply_translation((-0.05, 0, 0))
-    ball = trimesh.creation.icosphere(2, 0.3).apply_translation((x, 1, 0))
-    parts = [
-        dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"),
-        dg.Part("ball", ball, dg.Lambertian(0.6), pose=dg.Pose.upright("sphere")),
-    ]
     front = dg.Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
     view = dg.Rectangle.of((0, 1, 0), (0, 0.5, 0), (0, 0, 0.5))
-    return dg.Scene.from_parts(parts, relay_wall=front, hidden_view=view, parameters={"x_m": x})
+    whole = [dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"), *parts]
+    return dg.Scene.from_parts(whole, relay_wall=front, hidden_view=view, parameters=parameters)
+
+
+def room(x: float) -> dg.Scene:
+    ball = trimesh.creation.icosphere(2, 0.3).apply_translation((x, 1, 0))
+    return room_of(dg.Part("ball", ball, dg.Lambertian(0.6), pose=dg.Pose.upright("sphere")), x_m=x)
 
 
 def capture(time: dg.TimeAxis = TIME) -> dg.Capture:
@@ -41,39 +46,28 @@ def capture(time: dg.TimeAxis = TIME) -> dg.Capture:
 
 def test_own_scenes_become_a_dataset_with_labels(tmp_path: Path) -> None:
     fields = ("histogram", "transient", "depth", "objects")
-    made = [tmp_path / "one", tmp_path / "two"]
-    for path in made:
-        scenes = (room(x) for x in (1.0, 1.5, 1.0))
-        result = dg.build_from(
-            scenes, path, capture(), fields=fields, settings=QUICK | {"name": "balls"}, progress=False
-        )
-        assert result.complete
-    assert not verify(made[0], deep=True).problems
-    assert "balls" in info(made[0])
-    data = dg.TransientDataset(made[0], ("transient", "histogram", "depth", "objects"))
+    made, places = tmp_path / "set", (1.0, 1.5, 1.0)
+
+    def built(places: tuple[float, ...]) -> dg.BuildResult:
+        return dg.build_from(map(room, places), made, capture(), fields=fields, settings=QUICK, progress=False)
+
+    assert built(places).complete and not verify(made, deep=True).problems
+    data = dg.TransientDataset(made, ("transient", "histogram", "depth", "objects"))
     assert data.classes == ("sphere",)
-    assert data.parameters("x_m").tolist() == [1.0, 1.5, 1.0]
+    assert data.parameters("x_m").tolist() == [*places]
     # One room is in one split.
     split = data.parameters("split")
     assert split[0] == split[2]
-    # The light is that of `simulate`, with the seed of the sample's number.
-    for item, x in zip(data, (1.0, 1.5, 1.0), strict=False):
+    for item, x in zip(data, places, strict=False):
         depth = item["depth"].numpy()
         assert depth[4, 4] == pytest.approx(x - 0.3, abs=0.02)
         assert float(item["transient"].sum()) > 0
         np.testing.assert_allclose(item["object_box_center"][0], [0, 0, x], atol=0.02)
-    again = dg.TransientDataset(made[1], ("transient", "histogram"))
-    for name in ("transient", "histogram"):
-        assert all((a[name] == b[name]).all() for a, b in zip(data, again, strict=False))
-    scenes = (room(x) for x in (1.0, 1.5, 1.0))
-    resumed = dg.build_from(scenes, made[0], capture(), fields=fields, settings=QUICK, progress=False)
-    assert resumed.built == 0
+    assert built(places).built == 0
     with pytest.raises(dg.InputError, match="digest"):
-        dg.build_from(map(room, (1.0, 1.5, 1.1)), made[0], capture(), fields=fields, settings=QUICK, progress=False)
-    (written,) = export(made[0], tmp_path / "npz", "npz", "1")
-    assert written.is_file()
+        built((1.0, 1.5, 1.1))
     with pytest.raises(dg.InputError, match="made in Python"):
-        export(made[0], tmp_path / "glb", "glb", "1")
+        export(made, tmp_path / "glb", "glb", "1")
 
 
 def test_light_of_another_simulator_is_stored_and_detected(tmp_path: Path) -> None:
@@ -82,25 +76,17 @@ def test_light_of_another_simulator_is_stored_and_detected(tmp_path: Path) -> No
     own = dg.TimeAxis(bins=64, width_s=4e-10, start_s=1e-9, origin="wall")
     bright = {"detector": {"mode": "ideal", "photons_per_pulse": 1e9, "cycles": 10**6}}
     dg.build_from([(room(1.2), capture(own), theirs)], tmp_path / "theirs", settings=bright, progress=False)
-    item = dg.TransientDataset(tmp_path / "theirs", ("transient", "histogram"), redraw_noise=True)[0]
-    np.testing.assert_allclose(item["transient"], theirs, rtol=1e-6)
-    assert int(item["histogram"].argmax()) == int(theirs.argmax())
-    stored = dg.TransientDataset(tmp_path / "theirs")[0]["histogram"]
-    assert int(stored.argmax()) == int(theirs.argmax())
-    assert stored[1, 2, 40] > 100
+    for redraw_noise in (False, True):
+        data = dg.TransientDataset(tmp_path / "theirs", ("transient", "histogram"), redraw_noise=redraw_noise)
+        np.testing.assert_allclose(data[0]["transient"], theirs, rtol=1e-6)
+        counts = data[0]["histogram"]
+        assert int(counts.argmax()) == int(theirs.argmax()) and counts[1, 2, 40] > 100
 
 
 def test_light_that_enters_as_a_record_is_counted_and_labelled_as_our_own() -> None:
-    config = config_from_mapping(
-        QUICK
-        | {
-            "capture": {
-                "scan": {"rows": 2, "columns": 1},
-                "time": {"bins": 64, "bin_width_ps": 400, "origin": "wall"},
-            }
-        }
-        | {"store": {"fields": ["histogram", "transient", "depth"]}}
-    )
+    time = {"bins": 64, "bin_width_ps": 400, "origin": "wall"}
+    shape = {"capture": {"scan": {"rows": 2, "columns": 1}, "time": time}}
+    config = config_from_mapping(QUICK | shape | {"store": {"fields": ["histogram", "transient", "depth"]}})
     setup = Setup.of(config, 0, room(1.2), capture())
     ours = simulated_light(setup)
     own = sample_from(setup, ours)
@@ -138,18 +124,9 @@ def test_a_laser_that_meets_nothing_fails_its_scene(tmp_path: Path) -> None:
 
 def test_a_sheet_on_a_wall_is_labelled_whole_and_brings_a_line(tmp_path: Path) -> None:
     """An object in the very plane of a hidden wall: its label has no speckles, and a warning names it."""
-    wall = trimesh.creation.box((0.1, 4, 3)).apply_translation((-0.05, 0, 0))
     far = trimesh.creation.box((0.1, 1.5, 3)).apply_translation((1.55, 1.2, 0))
-    sheet = trimesh.Trimesh(
-        [(1.5, 0.7, -0.3), (1.5, 1.3, -0.3), (1.5, 1.3, 0.3), (1.5, 0.7, 0.3)], [(0, 1, 2), (0, 2, 3)]
-    )
-    parts = [
-        dg.Part("wall", wall, dg.Lambertian(0.8), "relay_wall"), dg.Part("sheet", sheet, dg.Lambertian(0.1)),
-        dg.Part("far", far, dg.Lambertian(0.8), "structure"),
-    ]  # fmt: skip
-    front = dg.Rectangle.of((0, 0, 0), (0, 1, 0), (0, 0, 1))
-    view = dg.Rectangle.of((0, 1, 0), (0, 0.5, 0), (0, 0, 0.5))
-    scene = dg.Scene.from_parts(parts, relay_wall=front, hidden_view=view)
+    sheet = rectangle((1.5, 1, 0), (0, 0.3, 0), (0, 0, 0.3))
+    scene = room_of(dg.Part("sheet", sheet, dg.Lambertian(0.1)), dg.Part("far", far, dg.Lambertian(0.8), "structure"))
     line = r"scene 0: parts 'sheet' and 'far' lie in one place: 'sheet' is taken to lie on 'far'"
     settings = {"transport": {"lookins": 256, "fov_samples": 1}, "labels": {"rows": 20, "columns": 20}}
     with pytest.warns(InputWarning, match=line):

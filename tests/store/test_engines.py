@@ -1,8 +1,8 @@
-"""Worker processes end with their build, whenever a signal ends it."""
+"""Worker processes end with their build, whenever a signal ends it; they take no more memory from scene to scene, and
+who reads leaves no thread."""
 
 from __future__ import annotations
 
-import ast
 import os
 import signal
 import subprocess
@@ -14,6 +14,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fake_samples import fake_sample, small_config
 from here_and_now import HereAndNow, jobs_go_to
@@ -22,6 +23,7 @@ from interrupts import LATEST_S, interruptions
 from datagen.building import engines
 from datagen.building.build import build
 from datagen.building.shard_job import Recipe
+from datagen.config import config_from_mapping
 from datagen.store import running_path
 
 
@@ -40,13 +42,13 @@ def test_ctrl_c_while_a_shard_is_handed_out_leaves_nothing_of_it(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("tries", "latest_s"), [(2, 2.0), pytest.param(50, LATEST_S, marks=pytest.mark.nightly)], ids=["two", "fifty"]
+    ("tries", "latest_s"), [(1, 2.0), pytest.param(50, LATEST_S, marks=pytest.mark.nightly)], ids=["one", "fifty"]
 )
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_at_any_moment_ends_a_build_in_one_line(kind: signal.Signals, tries: int, latest_s: float) -> None:
     # Names of sockets are short, and a folder of pytest is not.
     with tempfile.TemporaryDirectory() as folder:
-        counted = interruptions(kind, tries, Path(folder), kind.value, latest_s, resume=tries > 2)
+        counted = interruptions(kind, tries, Path(folder), kind.value, latest_s, resume=tries > 1)
     assert counted["ended"] == tries and counted["wrong"] == 0
 
 
@@ -72,32 +74,10 @@ def test_a_signal_that_another_thread_takes_waits_until_a_worker_is_started() ->
     assert reached
 
 
-def test_a_worker_that_dies_costs_its_job_alone() -> None:
-    with engines.started("local", 2, None) as running:
-        ended, other = running.submit(os._exit, 3), running.submit(abs, -1)
-        died = ended.exception()
-        assert isinstance(died, engines.WorkerDied) and died.seconds is not None
-        assert other.result() == 1
-        assert [running.submit(abs, number).result() for number in (2, -3)] == [2, 3]
-
-
 def test_an_error_of_a_job_names_the_line_of_the_worker() -> None:
     with engines.started("local", 1, None) as running:
         error = running.submit(int, "two").exception()
     assert isinstance(error, ValueError) and "engines.py" in "".join(error.__notes__)
-
-
-def test_builds_use_the_public_face_of_the_standard_library() -> None:
-    """Private names of pools and of their server change from one version of Python to the next."""
-    found = []
-    for path in Path(engines.__file__).parent.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr.startswith("_") and not node.attr.startswith("__"):
-                of = ast.unparse(node.value)
-                # Python documents `os._exit`, in spite of its name.
-                if of not in ("self", "cls") and (of, node.attr) != ("os", "_exit"):
-                    found.append(f"{path.name}: {of}.{node.attr}")
-    assert found == []
 
 
 def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path: Path) -> None:
@@ -108,3 +88,78 @@ def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert f"InputError: TMPDIR: workers cannot be started, since their socket lies in {folder}" in done.stderr
     assert "set TMPDIR to a shorter path" in done.stderr
+
+
+SCRIPT = """
+import os, sys
+import datagen as dg
+from datagen.store import verify
+from datagen.store.table import parquet_file, rows_of
+
+def threads():
+    return set(os.listdir("/proc/self/task")) if os.path.isdir("/proc") else set()
+
+dg.TransientDataset      # importing begins threads of other libraries
+before, folder = threads(), sys.argv[1]
+data = dg.TransientDataset(folder, ("histogram", "transient"), split="train")
+assert not verify(folder).problems
+with open(folder + "/samples.parquet", "rb") as file:
+    rows_of(parquet_file(file))
+for sample in data:
+    sample["histogram"].sum() + sample["transient"].sum()
+# Last, so that threads of it would still be at work when the interpreter ends.
+data.stats, data.parameters("box.width_m"), data.parameters("kind")
+left = threads() - before
+assert not left, f"{len(left)} threads are left"
+"""
+
+
+# With threads left behind a third of runs aborted: two hundred clean ends by chance have the chance 10⁻³⁵.
+@pytest.mark.parametrize("times", [1, pytest.param(200, marks=pytest.mark.nightly)])
+def test_reading_leaves_no_thread_and_the_process_ends_in_order(pristine: Path, times: int) -> None:
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).resolve().parents[2]), "OMP_NUM_THREADS": "1"}
+    for _ in range(times):
+        subprocess.run([sys.executable, "-c", SCRIPT, pristine], env=environment, check=True)
+
+
+MOST_MB_A_1000 = 4.0
+"""Growth that allocators may cause; a leak of one histogram a scene would be 8 MB."""
+
+
+def resident_mb() -> float:
+    status = Path("/proc/self/status").read_text()
+    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")) / 1024
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="no /proc")
+def test_memory_of_a_worker_is_flat(tmp_path: Path) -> None:
+    """10 000 scenes made by one process that is not replaced, as a worker makes its shards."""
+    assert abs(growth_mb_a_1000(tmp_path, 10_000)) < MOST_MB_A_1000
+
+
+class Watched(HereAndNow):
+    """An engine that notes the memory of this process after each shard."""
+
+    def __init__(self) -> None:
+        self.resident_mb: list[float] = []
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        done = super().submit(function, *arguments)
+        self.resident_mb.append(resident_mb())
+        return done
+
+
+def growth_mb_a_1000(folder: Path, scenes: int) -> float:
+    """Slope of the resident memory over the shards after the first fifth, MB in 1000 scenes."""
+    config = config_from_mapping({
+        "scenes": scenes, "transport": {"lookins": 16, "fov_samples": 1, "max_bounces": 3},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 512, "bin_width_ps": 100}},
+        "store": {"fields": ["histogram", "transient"], "scenes_per_shard": 16},
+    })  # fmt: skip
+    here = Watched()
+    with jobs_go_to(here):
+        build(config, folder / "set", progress=False)
+    assert len(here.resident_mb) == -(-scenes // 16)
+    settled = np.array(here.resident_mb[len(here.resident_mb) // 5 :])
+    return float(np.polyfit(np.arange(len(settled)) * 0.016, settled, 1)[0])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import torch
 import zarr
 from datasets import write_dataset
 from fake_samples import fake_sample, noisy_config
-from torch.utils.data import DataLoader
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
@@ -39,12 +37,11 @@ def config_of(pairing: str, rows: int, columns: int, pixels: tuple[int, int], bi
     })  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["several blocks", "chunks of lasers", "chunks of pixels", "confocal, small"])
+@pytest.fixture(scope="module", params=["several blocks", "chunks of pixels", "confocal, small"])
 def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Chunks of two and more blocks, of which rows of 2000 bytes lie in two; the others of one block each."""
     config, chunk_bytes = {
         "several blocks": (config_of("exhaustive", 8, 16, (2, 1), 1000), 2**22),
-        "chunks of lasers": (config_of("exhaustive", 3, 4, (2, 3), 50), 1300),
         "chunks of pixels": (config_of("exhaustive", 3, 4, (2, 3), 50), 250),
         "confocal, small": (config_of("confocal", 4, 5, (1, 1), 24), 2**22),
     }[request.param]
@@ -63,7 +60,6 @@ def crops(rng: np.random.Generator, lasers: int, pixels: int, bins: int) -> list
     mask = rng.random(lasers) < 0.3
     mask[rng.integers(lasers)] = True
     return [
-        {"lasers": [lasers - 1]},
         {"lasers": slice(1, None, 2)},
         {"lasers": slice(None, None, -1), "bins": slice(-7, None)},
         {"lasers": mask},
@@ -72,8 +68,6 @@ def crops(rng: np.random.Generator, lasers: int, pixels: int, bins: int) -> list
         {"lasers": np.s_[:2, -2:], "pixels": rng.permutation(pixels)},
         {"pixels": [pixels - 1, 0], "bins": slice(5, 6)},
         {"pixels": slice(None), "lasers": (3,)},
-        {"bins": slice(bins // 2, bins)},
-        {"lasers": slice(None)},
         {},
     ]
 
@@ -101,9 +95,9 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
     sizes = manifest.schema.by_name["histogram"].shape
     for crop in crops(np.random.default_rng(0), *sizes):
         data = dg.TransientDataset(dataset, FIELDS, counts="stored", **crop)
-        as_float = dg.TransientDataset(dataset, ("histogram",), **crop)
         order = [2, 0, 1, 2]
-        items, floats = data.__getitems__(order), as_float.__getitems__(order)
+        items = data.__getitems__(order)
+        floats = dg.TransientDataset(dataset, ("histogram",), **crop).__getitems__(order)
         for name in FIELDS:
             dims = manifest.schema.by_name[name].dims[1:]
             if name == "sensor_pixels":
@@ -115,28 +109,29 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
         assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
 
 
-def test_redrawn_noise_is_that_of_the_whole_cut(tmp_path: Path) -> None:
-    root = write_dataset(noisy_config(), tmp_path / "set", fake_sample)
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(noisy_config(), tmp_path_factory.mktemp("parts") / "one", fake_sample)
+
+
+def test_redrawn_noise_is_that_of_the_whole_cut(one: Path) -> None:
     fields, crop = ("histogram", "transient"), {"lasers": np.s_[:, 1:], "bins": slice(2, 9)}
-    whole = dg.TransientDataset(root, fields, redraw_noise=True, seed=7)
-    for representation in ("dense", "events"):
-        data = dg.TransientDataset(root, fields, redraw_noise=True, seed=7, representation=representation, **crop)
-        whole.set_epoch(0)
-        for _ in range(2):
-            (batch,) = DataLoader(data, 12, collate_fn=dg.collate)
-            (due,) = DataLoader(whole, 12, collate_fn=dg.collate)
-            counts = batch.get("histogram")
-            if counts is None:
-                counts = dg.dense(batch["events"], batch["counts"], (12, *data.shape("histogram")))
-            assert torch.equal(counts, due["histogram"][:, [1, 3], :, 2:9]) and counts.sum() > 0
-            assert torch.equal(batch["transient"], due["transient"][:, [1, 3], :, 2:9])
+    whole = dg.TransientDataset(one, fields, redraw_noise=True, seed=7)
+    data = dg.TransientDataset(one, fields, redraw_noise=True, seed=7, **crop)
+    events = dg.TransientDataset(one, fields, redraw_noise=True, seed=7, representation="events", **crop)
+    for _ in range(2):
+        batch, as_events, due = (dg.collate(of.__getitems__(range(12))) for of in (data, events, whole))
+        counts = dg.dense(as_events["events"], as_events["counts"], (12, *data.shape("histogram")))
+        assert torch.equal(counts, batch["histogram"]) and counts.sum() > 0
+        for name in fields:
+            assert torch.equal(batch[name], due[name][:, [1, 3], :, 2:9])
 
 
 def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first read compares the digest of the whole value; later reads check the checksums of chunks."""
     monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
     root = write_dataset(config_of("confocal", 4, 4, (1, 1), 64), tmp_path / "set", fake_sample)
-    first, second = (root / f"data.zarr/histogram/c/{shard}/0/0/0" for shard in (0, 1))
+    first = root / "data.zarr/histogram/c/0/0/0/0"
     sound, manifest = first.read_bytes(), read_manifest(root)
     part = Part((np.arange(3), np.arange(1)), slice(0, 64))
     seen = {"histogram": np.zeros(3, bool)}
@@ -157,44 +152,28 @@ def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     refused("decodes to other values than were written")
     swapped = DatasetReader(root, manifest, ["histogram"], check=False).read("histogram", [0], part=part)
     assert np.array_equal(swapped, value), "found by the digest alone"
-    shutil.copy(second, first)
-    refused(r"bytes, \d+ were written")
     flipped = bytearray(sound)
     flipped[int(index[0, 0]) + 20] ^= 1
     first.write_bytes(flipped)
     refused("scene 1: the checksum does not match", check=False)
-    first.unlink()
-    refused("cannot be opened", check=False)
 
 
-@pytest.mark.parametrize(
-    ("crop", "piece"),
-    [
-        ({"lasers": 3}, "lasers = 3: must choose of 4, such as slice"),
-        ({"lasers": [4]}, "lasers: 4 is not in 0 … 3"),
-        ({"lasers": [True, False]}, "must choose of 4"),
-        ({"lasers": slice(4, 9)}, "none of 4 is left"),
-        ({"lasers": slice(None, None, 0)}, "must be a slice of whole numbers"),
-        ({"lasers": (slice(1), 1)}, "rows and columns must both be slices"),
-        ({"bins": [1, 2]}, "bins = \\[1, 2\\]: must be a slice of step 1"),
-        ({"bins": slice(16, 20)}, "none of 16 is left"),
-    ],
-)
-def test_wrong_crops_are_refused(one: Path, crop: dict[str, Any], piece: str) -> None:
-    with pytest.raises(InputError, match=piece) as error:
-        dg.TransientDataset(one, ("histogram",), **crop)
-    assert "\n" not in str(error.value)
-
-
-@pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_dataset(noisy_config(), tmp_path_factory.mktemp("parts") / "one", fake_sample)
-
-
-def test_points_that_are_no_grid_have_no_rows(tmp_path: Path) -> None:
+def test_wrong_crops_are_refused(one: Path, tmp_path: Path) -> None:
     config = noisy_config().model_dump(mode="json")
     config["capture"]["scan"] = {"kind": "points", "points_m": [[0.1 * k, 0.0] for k in range(4)]}
-    root = write_dataset(config_from_mapping(config), tmp_path / "set", fake_sample)
-    with pytest.raises(InputError, match="these are no grid of rows and columns"):
-        dg.TransientDataset(root, ("histogram",), lasers=np.s_[:1, :1])
-    assert dg.TransientDataset(root, ("histogram",), lasers=[3, 1]).shape("histogram") == (2, 1, 16)
+    no_grid = write_dataset(config_from_mapping(config), tmp_path / "set", fake_sample)
+    assert dg.TransientDataset(no_grid, ("histogram",), lasers=[3, 1]).shape("histogram") == (2, 1, 16)
+    for root, crop, piece in (
+        (one, {"lasers": 3}, "lasers = 3: must choose of 4, such as slice"),
+        (one, {"lasers": [4]}, "lasers: 4 is not in 0 … 3"),
+        (one, {"lasers": [True, False]}, "must choose of 4"),
+        (one, {"lasers": slice(4, 9)}, "none of 4 is left"),
+        (one, {"lasers": slice(None, None, 0)}, "must be a slice of whole numbers"),
+        (one, {"lasers": (slice(1), 1)}, "rows and columns must both be slices"),
+        (one, {"bins": [1, 2]}, "bins = .*: must be a slice of step 1"),
+        (one, {"bins": slice(16, 20)}, "none of 16 is left"),
+        (no_grid, {"lasers": np.s_[:1, :1]}, "these are no grid of rows and columns"),
+    ):
+        with pytest.raises(InputError, match=piece) as error:
+            dg.TransientDataset(root, ("histogram",), **crop)  # type: ignore[arg-type]
+        assert "\n" not in str(error.value)

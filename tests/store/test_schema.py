@@ -6,14 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from fake_samples import small_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from datagen.config import DatasetConfig, config_from_mapping, time_axes
+from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.store import schema_of
-from datagen.store.arrays import metadata_files
 from datagen.store.schema import CHUNK_BYTES, SHARD_BYTES, Field
 from datagen.store.shard import encoded
 
@@ -57,26 +55,6 @@ def test_chunks_are_cut_only_above_their_limit(shape: list[int], dtype: str) -> 
         assert all(field.chunk[axis] == 1 for axis in range(cut[-1])), (
             "an axis is cut only when those before are at 1"
         )
-
-
-def test_metadata_follows_the_store_layout() -> None:
-    import json
-
-    config = small_config()
-    files = metadata_files(schema_of(config), time_axes(config))
-    histogram = json.loads(files["data.zarr/histogram/zarr.json"])
-    assert histogram["dimension_names"] == ["scene", "laser", "pixel", "bin"]
-    assert histogram["shape"] == [12, 4, 1, 16] and histogram["chunk_grid"]["configuration"]["chunk_shape"][0] == 4
-    inner = histogram["codecs"][0]["configuration"]
-    assert inner["chunk_shape"] == [1, 4, 1, 16]
-    assert [codec["name"] for codec in inner["codecs"]] == ["bytes", "blosc", "crc32c"]
-    blosc = inner["codecs"][1]["configuration"]
-    assert (blosc["cname"], blosc["clevel"], blosc["shuffle"]) == ("zstd", 1, "bitshuffle")
-    assert blosc["blocksize"] == 2**18
-    light = json.loads(files["data.zarr/transient/zarr.json"])["codecs"][0]["configuration"]["codecs"][1]
-    assert light["configuration"]["shuffle"] == "shuffle"
-    points = json.loads(files["data.zarr/laser_points/zarr.json"])
-    assert [codec["name"] for codec in points["codecs"]] == ["bytes", "blosc", "crc32c"]
 
 
 HISTOGRAM = Field("histogram", ("scene", "laser", "pixel", "bin"), (1, 1, 3), "uint8", "counts", "")

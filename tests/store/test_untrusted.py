@@ -4,17 +4,17 @@ and nothing outside of the folder is touched."""
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import numpy as np
 import pytest
-from damage import reseal
+from damage import reseal, told
 from fake_samples import build_fakes, small_config
+from limits import little_memory
 
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
@@ -25,36 +25,15 @@ from datagen.store.info import info
 pytestmark = pytest.mark.usefixtures("builds_here")
 
 
-@pytest.fixture(scope="module")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("untrusted") / "set"
-    build_fakes(small_config(scenes=5), root)
-    return root
+Change = Callable[[dict[str, Any]], object]
 
 
-@pytest.fixture
-def dataset(pristine: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(pristine, tmp_path / "set")
-
-
-@contextmanager
-def little_memory(more_bytes: int = 2**30) -> Iterator[None]:
-    """No more address space than so many bytes beyond what is used now."""
-    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (used + more_bytes, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
-
-
-def field(**changes: Any) -> Callable[[dict[str, Any]], object]:
+def field(**changes: Any) -> Change:
     """Change the first row of the fields."""
     return lambda values: values["fields"][0].update(changes)
 
 
-def renamed(name: str) -> Callable[[dict[str, Any]], object]:
+def renamed(name: str) -> Change:
     def change(values: dict[str, Any]) -> None:
         old = values["fields"][-1]["name"]
         values["fields"][-1]["name"] = name
@@ -63,7 +42,7 @@ def renamed(name: str) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def resized(row: int, size: int) -> Callable[[dict[str, Any]], object]:
+def resized(row: int, size: Any) -> Change:
     """Another last size of a field, in all the places that state it."""
 
     def change(values: dict[str, Any]) -> None:
@@ -74,7 +53,7 @@ def resized(row: int, size: int) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def scenes(number: Any) -> Callable[[dict[str, Any]], object]:
+def scenes(number: int) -> Change:
     def change(values: dict[str, Any]) -> None:
         values["scenes"] = number
         for row in values["fields"]:
@@ -83,16 +62,12 @@ def scenes(number: Any) -> Callable[[dict[str, Any]], object]:
     return change
 
 
-def config(**changes: Any) -> Callable[[dict[str, Any]], object]:
-    return lambda values: values["config"].update(changes)
-
-
-HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
+HOSTILE: dict[str, Change] = {
     "a name that leaves the folder": renamed("../../x"),
     "a name with an escape": renamed("\x1b[31mred"),
     "the same name twice": renamed("histogram"),
     "a negative size": resized(0, -16),
-    "a size that is no integer": resized(0, 16.5),  # type: ignore[arg-type]
+    "a size that is no integer": resized(0, 16.5),
     "8 GB of a small field": resized(-1, 2**30),
     "8 EB of a scene": resized(0, 2**60),
     "no sizes": field(shape=[]),
@@ -107,8 +82,7 @@ HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {
     "no origin": lambda values: values.update(made_by={}),
     "an origin of lists": lambda values: values["made_by"].update(datagen=[[]]),
     "no configuration": lambda values: values.update(config={}),
-    "an infinite time axis": config(capture={"pairing": "confocal", "time": {
-        "origin": "wall", "start_ns": float("inf"), "bin_width_ps": 1.0}}),
+    "an infinite time axis": lambda values: values["config"]["capture"]["time"].update(start_ns=float("inf")),
     "a format of the future": lambda values: values.update(format=10**9),
     "a format of before 1.0": lambda values: values.update(format="datagen dataset", schema_version=22),
 }  # fmt: skip
@@ -119,7 +93,7 @@ def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFix
     reseal(dataset / "dataset.json", HOSTILE[harm])
     before = sorted(dataset.parent.rglob("*"))
     with little_memory():
-        for command in (["info"], ["verify", "--deep"], ["show", "0"], ["digest"], ["preview"]):
+        for command in (["info"], ["verify", "--deep"], ["show", "0"]):
             assert run([command[0], str(dataset), *command[1:]]) == 2
             out, err = capsys.readouterr()
             assert out == "" and err.count("\n") == 1 and "dataset.json" in err and "\x1b" not in err
@@ -128,22 +102,17 @@ def test_a_hostile_manifest_is_one_line(dataset: Path, capsys: pytest.CaptureFix
     assert sorted(dataset.parent.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "[" * 10**6,
-        '{"a":' * 10**5, '{"format": 1e999}', '{"a": 1' + "0" * 5000 + "}",
-        '{"format": "\\ud800"}', "\xff", "NaN", "Infinity", '{"format": true}',
-    ],
-    ids=lambda text: text[:12],
-)  # fmt: skip
-def test_json_that_no_parser_should_swallow(dataset: Path, text: str) -> None:
+def test_json_that_no_parser_should_swallow(dataset: Path) -> None:
     for name in ("dataset.json", "build/shard-000000.json", "croissant.json"):
         kept = (dataset / name).read_bytes()
-        (dataset / name).write_bytes(text.encode("latin-1"))
-        with pytest.raises((InputError, CheckError)) as refused:
-            TransientDataset(dataset)[0]
-        assert "\n" not in str(refused.value) and name in str(refused.value)
+        for text in (
+            "[" * 10**6, '{"a":' * 10**5, '{"format": 1e999}', '{"a": 1' + "0" * 5000 + "}",
+            '{"format": "\\ud800"}', "\xff", "NaN", '{"format": true}',
+        ):  # fmt: skip
+            (dataset / name).write_bytes(text.encode("latin-1"))
+            with pytest.raises((InputError, CheckError), match=name) as refused:
+                TransientDataset(dataset)[0]
+            assert "\n" not in str(refused.value)
         (dataset / name).write_bytes(kept)
 
 
@@ -153,22 +122,13 @@ def test_files_without_end_are_not_read_to_it(dataset: Path) -> None:
             path = dataset / name
             kept = path.read_bytes()
             os.truncate(path, 2**36)
-            assert verify_problems(dataset) != ()
-            path.unlink()
-            path.symlink_to("/dev/zero")
-            assert verify_problems(dataset) != ()
-            path.unlink()
-            os.mkfifo(path)
-            assert verify_problems(dataset) != ()
+            assert told(lambda: verify(dataset, deep=True).problems) != ()
+            for endless in (lambda of: of.symlink_to("/dev/zero"), os.mkfifo):
+                path.unlink()
+                endless(path)
+                assert told(lambda: verify(dataset, deep=True).problems) != ()
             path.unlink()
             path.write_bytes(kept)
-
-
-def verify_problems(dataset: Path) -> tuple[str, ...]:
-    try:
-        return verify(dataset, deep=True).problems
-    except InputError as error:
-        return (str(error),)
 
 
 def test_a_record_names_its_own_files_only(dataset: Path) -> None:
@@ -185,9 +145,9 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
     """Only shards that exist are read, whatever number the manifest claims."""
     reseal(dataset / "dataset.json", scenes(100_000_000))
     problems = verify(dataset).problems
-    assert len(problems) < 5 and any(problem.startswith("shards 2-24999999: not there") for problem in problems)
+    assert len(problems) < 5 and any(problem.startswith("shards 3-24999999: not there") for problem in problems)
     assert "of 100000000" in info(dataset)
-    with pytest.raises(InputError, match=r"24999999 of 25000000 shards are not committed, the first is 1"):
+    with pytest.raises(InputError, match=r"24999997 of 25000000 shards are not committed, the first is 3"):
         TransientDataset(dataset)
     with pytest.raises(InputError, match="must be ≥ 1 and ≤ 100000000"):
         build_fakes(small_config(), dataset.parent / "new", scenes=10**12)
@@ -195,8 +155,6 @@ def test_millions_of_missing_shards_are_one_line(dataset: Path) -> None:
 
 def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> None:
     """The checksum is right, and blosc itself would trust the length in the chunk's header."""
-    import google_crc32c
-
     path = dataset / "data.zarr/laser_points/c/0/0/0"
     body = bytearray(path.read_bytes()[:-4])
     for place, value in ((4, 2**31 - 1), (12, 10**6)):
@@ -205,11 +163,12 @@ def test_a_chunk_that_claims_more_than_it_holds_is_refused(dataset: Path) -> Non
         for check in (True, False):
             with little_memory(), pytest.raises(CheckError, match="belong"):
                 TransientDataset(dataset, ("laser_points",), check=check)[0]
+    os.truncate(path, 2**36)
+    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
+        TransientDataset(dataset, ("laser_points",), check=False)[0]
 
 
 def test_an_index_that_asks_for_much_gets_nothing(dataset: Path) -> None:
-    import google_crc32c
-
     path = dataset / "data.zarr/histogram/c/0/0/0/0"
     data = path.read_bytes()
     index = np.frombuffer(data[-68:-4], "<u8").copy()
@@ -224,9 +183,7 @@ def snapshot(folder: Path) -> dict[str, tuple[int, bytes]]:
     return {str(p): (p.stat().st_mtime_ns, p.read_bytes()) for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize(
-    "inside", ["data.zarr", "data.zarr/depth", "data.zarr/depth/c", "data.zarr/depth/c/0", "build", "README.md"]
-)
+@pytest.mark.parametrize("inside", ["data.zarr", "data.zarr/depth", "data.zarr/depth/c/0", "build", "README.md"])
 def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path, inside: str) -> None:
     """The shard is damaged, so that a build would delete and write it."""
     outside = tmp_path / "outside"
@@ -234,11 +191,12 @@ def test_a_build_follows_no_link_out_of_its_folder(dataset: Path, tmp_path: Path
     (dataset / inside).symlink_to(outside)
     if inside != "README.md":
         (dataset / "data.zarr/depth/c/0/0/0").write_bytes(b"mine")
-    before = snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside)
-    with pytest.raises(InputError, match="is a symbolic link"):
-        build_fakes(small_config(scenes=5), dataset)
     # Found before anything is touched, but for what only the writer of a shard looks at.
-    assert snapshot(outside.parent if inside != "data.zarr/depth/c/0" else outside) == before
+    untouched = outside if inside == "data.zarr/depth/c/0" else tmp_path
+    before = snapshot(untouched)
+    with pytest.raises(InputError, match="is a symbolic link"):
+        build_fakes(small_config(), dataset)
+    assert snapshot(untouched) == before
 
 
 def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dataset: Path, tmp_path: Path) -> None:
@@ -246,18 +204,14 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     outside.write_text("years of work")
     (dataset / f"README.md.{os.getpid()}.partial").symlink_to(outside)
     (dataset / "README.md").unlink()
-    build_fakes(small_config(scenes=5), dataset)
+    # The dataset itself may be a link.
+    (tmp_path / "link").symlink_to(dataset)
+    assert build_fakes(small_config(), tmp_path / "link").complete
     (dataset / "build/shard-000000.running").symlink_to(outside)
     (dataset / "build/shard-000000.json").unlink()
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
-        build_fakes(small_config(scenes=5), dataset)
+        build_fakes(small_config(), dataset)
     assert outside.read_text() == "years of work"
-
-
-def test_a_dataset_may_be_a_link_itself(dataset: Path, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(dataset)
-    build_fakes(small_config(scenes=5), tmp_path / "link")
-    assert verify(tmp_path / "link").problems == ()
 
 
 def test_no_escape_sequence_reaches_a_terminal_or_the_card(
@@ -269,7 +223,9 @@ def test_no_escape_sequence_reaches_a_terminal_or_the_card(
     for command in ("verify", "info"):
         run([command, str(dataset)])
     run(["info", str(tmp_path / evil)])
-    build_fakes(small_config(scenes=1, name=evil, description=evil), tmp_path / "new")
+    described = small_config(scenes=1, name=evil, description=f"\r{evil}\r\ntwo\u2028")
+    build_fakes(described, tmp_path / "new")
+    assert verify(tmp_path / "new").problems == () and build_fakes(described, tmp_path / "new").built == 0
     shown = "".join(capsys.readouterr()) + (tmp_path / "new/README.md").read_text(encoding="utf-8")
     assert "owned" in shown and not [c for c in shown if c != "\n" and not c.isprintable()]
 
@@ -280,32 +236,19 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
-@pytest.mark.parametrize(
-    ("text", "piece"),
-    [
+def test_a_hostile_configuration_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text, piece in (
         (BOMB, "aliases make it hold 100000 values"),
-        ("scene: &a {contents: [*a]}", "aliases make it hold"),
         ("seed: " + "9" * 5000, "4300 digits"),
         ("seed: 0x" + "f" * 5000, "4300 digits"),
         ("scene: " + "[" * 900, "nested too deeply"),
         ("name: " + "x" * 2**19, "characters; shorten it"),
         ("capture: {time: {start_ns: .inf}}", "capture.time.start_ns"),
-    ],
-    ids=lambda text: text[:16],
-)
-def test_a_hostile_configuration_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, piece: str
-) -> None:
-    (tmp_path / "c.yaml").write_text(text)
-    for command in (["plan"], ["build", str(tmp_path / "out")]):
+        ("capture: {time: {start_ns: .nan}}", "capture.time.start_ns"),
+    ):
+        (tmp_path / "c.yaml").write_text(text)
         with little_memory():
-            assert run([command[0], str(tmp_path / "c.yaml"), *command[1:]]) == 2
+            assert run(["build", str(tmp_path / "c.yaml"), str(tmp_path / "out")]) == 2
         out, err = capsys.readouterr()
         assert out == "" and err.count("\n") == 1 and piece in err
     assert os.listdir(tmp_path) == ["c.yaml"]
-
-
-def test_a_file_that_is_larger_than_its_values_is_not_read(dataset: Path) -> None:
-    os.truncate(dataset / "data.zarr/laser_points/c/0/0/0", 2**36)
-    with little_memory(), pytest.raises(CheckError, match="the checksum does not match"):
-        TransientDataset(dataset, ("laser_points",), check=False)[0]

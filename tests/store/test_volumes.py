@@ -34,7 +34,7 @@ VOXELS = (5, 6, 7)
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = config_from_mapping({
-        "scenes": 12, "capture": {"scan": {"rows": 3, "columns": 4}, "time": {"bins": 96, "bin_width_ps": 500}},
+        "scenes": 8, "capture": {"scan": {"rows": 3, "columns": 4}, "time": {"bins": 96, "bin_width_ps": 500}},
         "transport": {"lookins": 64, "fov_samples": 1}, "labels": {"rows": 4, "columns": 4},
         "detector": {"cycles": 10**6}, "store": {"fields": ["histogram", "transient", "depth"]},
     })  # fmt: skip
@@ -68,8 +68,7 @@ def plain(scan: Scan, places: Any) -> Any:
     return total
 
 
-@pytest.mark.parametrize("confocal", [True, False])
-@pytest.mark.parametrize("places", [1, BLOCK - 1, 2 * BLOCK + 5])
+@pytest.mark.parametrize(("confocal", "places"), [(True, 1), (True, 2 * BLOCK + 5), (False, 2 * BLOCK + 5)])
 def test_the_compiled_sum_is_the_plain_one(confocal: bool, places: int) -> None:
     rng = np.random.default_rng(places)
     scan = random_scan(rng, 7, 3, 90, confocal)
@@ -111,12 +110,15 @@ def test_unknown_points_and_places_add_nothing(dataset: Path) -> None:
     assert not backprojected(scan_of(stored.arrays["histogram"], arrays, capture, stored.time), at[:1]).any()
 
 
-def test_a_scene_without_a_view_is_refused(dataset: Path) -> None:
+def test_what_gives_no_volume_is_refused(dataset: Path) -> None:
     data = dg.TransientDataset(dataset, representation="volume")
     geometry = {name: Scenes(dataset).read(7).arrays[name][None] for name in GEOMETRY}
     geometry["hidden_bounds"] = np.full((1, 2, 3), np.nan)
     with pytest.raises(InputError, match="scene 7 has no hidden_view and hidden_bounds"):
         data._volumes.backproject([7], np.zeros((1, 12, 1, 96)), geometry)  # type: ignore[union-attr]
+    for voxels in ((0, 4, 4), (4.0, 4, 4), 32, (2**10, 2**10, 2**10)):
+        with pytest.raises(InputError, match=r"voxels = .*: must be three whole numbers ≥ 1"):
+            dg.TransientDataset(dataset, representation="volume", voxels=voxels)  # type: ignore[arg-type]
 
 
 def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
@@ -127,18 +129,15 @@ def volume_of(counts: Any, arrays: Any, capture: Any, time: dg.TimeAxis) -> Any:
     return torch.from_numpy(backprojected_volume(scan_of(counts, where, capture, time), grid)).float()
 
 
-@pytest.mark.parametrize("workers", [0, 1])
-def test_volumes_are_those_of_the_histograms(dataset: Path, workers: int) -> None:
+def test_volumes_are_those_of_the_histograms(dataset: Path) -> None:
     data = dg.TransientDataset(dataset, representation="volume", voxels=VOXELS)
-    loader: DataLoader[Any] = DataLoader(
-        Subset(data, range(1, 12)), 11, collate_fn=dg.collate, num_workers=workers,
-        multiprocessing_context="fork" if workers else None,
-    )  # fmt: skip
-    (batch,) = loader
+    (batch,) = DataLoader(
+        Subset(data, range(1, 8)), 7, collate_fn=dg.collate, num_workers=1, multiprocessing_context="fork"
+    )
     assert set(batch) == {"volume", "depth", "scene"} and data.shape("volume") == VOXELS
     assert "volume (5, 6, 7)" in repr(data)
     stored = Scenes(dataset)
-    for row, scene in enumerate(range(1, 12)):
+    for row, scene in enumerate(range(1, 8)):
         of = stored.read(scene)
         due = volume_of(of.arrays["histogram"], of.arrays, stored.manifest.config["capture"], of.time)
         assert torch.equal(batch["volume"][row], due) and due.std() > 0
@@ -156,9 +155,3 @@ def test_noise_is_drawn_anew_and_parts_are_parts(dataset: Path) -> None:
         drawn.append(volumes[4]["volume"])
         assert torch.equal(drawn[-1], volume_of(item["histogram"], item, capture, later))
     assert not torch.equal(*drawn)
-
-
-@pytest.mark.parametrize("voxels", [(4, 4), (0, 4, 4), (4.0, 4, 4), 32, (2**10, 2**10, 2**10)])
-def test_numbers_of_voxels_that_are_none_are_refused(dataset: Path, voxels: Any) -> None:
-    with pytest.raises(InputError, match=r"voxels = .*: must be three whole numbers ≥ 1"):
-        dg.TransientDataset(dataset, representation="volume", voxels=voxels)

@@ -13,11 +13,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.visibility.raycast import Raycaster
 
@@ -33,10 +35,15 @@ place is not asked for light: rays of single precision may leak there."""
 SHORT_OF = 1e-3
 """Share of a ray before its hit where the surface met is taken to be: far above rounding, and as near as makes no
 difference to what is seen from there."""
-PAIRS, PLACES, LOOKED_FROM, RAYS = 64, 16, 16, 16
-"""Most pairs of triangles of two parts that are tried in a plane, most places where light is looked for in it, most
-laser points that it is looked for from, and rays from each place that meet surfaces which may pass it on. They decide
-about places that are lit at all; a shared surface of which a tenth is lit is still found with half of each."""
+PLACES, LOOKED_FROM, RAYS = 16, 16, 16
+"""Most places of a shared plane where light is looked for, most laser points that it is looked for from, and rays
+from a place that meet surfaces which may pass it on. They decide about places that are lit at all; a shared surface
+of which a tenth is lit is still found with half of each."""
+MOST_LOOKED_AT = 512
+"""Most triangles of a part in a plane, of those beside the other part's, that are looked at: a plane may have 10⁵."""
+PAIRS_AT_ONCE, PLANES_AT_ONCE = VALUES_AT_ONCE // 256, VALUES_AT_ONCE // 8192
+"""Pairs of triangles that are compared at once, and shared planes whose rays are traced at once: each has so many
+numbers in memory."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +71,12 @@ class Apart:
     Attributes
     ----------
     scene : the scene, the given one if nothing was moved.
+    caster : of its triangles.
     lying : (part, part that it lies on), each pair once.
     """
 
     scene: Scene
+    caster: Raycaster
     lying: tuple[tuple[str, str], ...]
 
     @property
@@ -85,11 +94,16 @@ class Apart:
 
 def set_apart(scene: Scene, capture: Capture) -> Apart:
     """The scene of a capture, its parts moved off the parts that they coincide with, where light gets to."""
-    shared = list(shared_planes(scene))
+
+    def rank(part: int) -> tuple[bool, int]:
+        return scene.roles[part] == "object", part
+
+    caster, shared = Raycaster(scene), list(shared_planes(scene))
     if not shared:
-        return Apart(scene, ())
-    caster = Raycaster(scene)
+        return Apart(scene, caster, ())
     sources = _sources(caster, capture)
+    shared.sort(key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
+    lit = [_lit(caster, shared[k : k + PLANES_AT_ONCE], sources) for k in range(0, len(shared), PLANES_AT_ONCE)]
     vertices, triangles = scene.vertices, np.array(scene.triangles)
     # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
     level, moves, lying = (
@@ -97,26 +111,20 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         list[tuple[int, Ints, Floats]](),
         list[tuple[str, str]](),
     )
-
-    def rank(part: int) -> tuple[bool, int]:
-        return scene.roles[part] == "object", part
-
-    in_order = sorted(shared, key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
-    for plane in in_order:
+    for plane, (front, back) in zip(shared, np.concatenate(lit), strict=True):
+        if not front + back:
+            continue
         of_one = rank(plane.one) > rank(plane.two)
         upper, lower = (plane.one, plane.two) if of_one else (plane.two, plane.one)
         rows, below = (plane.ones, plane.twos) if of_one else (plane.twos, plane.ones)
-        lit = [_lit(caster, plane, side, sources) for side in (1.0, -1.0)]
-        if not any(lit):
-            continue
         height = int(level[below].max()) + 1
         level[rows] = np.maximum(level[rows], height)
-        side = 1.0 if lit[0] >= lit[1] else -1.0
+        side = 1.0 if front >= back else -1.0
         moves.append((upper, rows, side * height * LIFT * caster.offset_m * plane.normal))
         pair = scene.part_names[upper], scene.part_names[lower]
         lying += [pair] if pair not in lying else []
     if not moves:
-        return Apart(scene, ())
+        return Apart(scene, caster, ())
     shift = np.zeros((len(vertices), 3))
     for part in sorted({part for part, _, _ in moves}):
         own = np.flatnonzero(scene.face_part == part)
@@ -128,12 +136,13 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
             np.concatenate([shift, np.zeros((len(used), 3))]),
         )
     for _, rows, move in moves:
-        moved = np.unique(triangles[rows])
+        used = np.unique(triangles[rows])
         length = float(np.linalg.norm(move))
         # A plane may have been found twice, and a corner lies in several planes.
-        missing = length - shift[moved] @ (move / length)
-        shift[moved] += np.maximum(missing, 0.0)[:, None] * (move / length)
-    return Apart(replace(scene, vertices=vertices + shift, triangles=triangles), tuple(lying))
+        missing = length - shift[used] @ (move / length)
+        shift[used] += np.maximum(missing, 0.0)[:, None] * (move / length)
+    moved = replace(scene, vertices=vertices + shift, triangles=triangles)
+    return Apart(moved, Raycaster(moved), tuple(lying))
 
 
 def _sources(caster: Raycaster, capture: Capture) -> Floats:
@@ -145,129 +154,144 @@ def _sources(caster: Raycaster, capture: Capture) -> Floats:
     return np.concatenate([lifted, capture.laser.position[None], capture.sensor.position[None]])
 
 
-def _lit(caster: Raycaster, plane: Shared, side: float, sources: Floats) -> int:
-    """How many lines lead from a side of a plane to the sources of light, directly or by one surface in between."""
-    places = plane.places[np.linspace(0, len(plane.places) - 1, min(len(plane.places), PLACES)).astype(int)]
-    starts = places + 2.0 * side * caster.offset_m * plane.normal
+def _lit(caster: Raycaster, shared: list[Shared], sources: Floats) -> Ints:
+    """(plane, side) how many lines lead from shared planes to the sources of light, directly or by one surface in
+    between; the first side is that of the plane's normal."""
+    some = [of.places[np.linspace(0, len(of.places) - 1, min(len(of.places), PLACES)).astype(int)] for of in shared]
+    plane = np.repeat(np.arange(len(shared)), [len(places) for places in some])
+    normals = np.stack([of.normal for of in shared])[plane]
+    side, up = np.concatenate([2 * plane, 2 * plane + 1]), np.concatenate([normals, -normals])
+    starts = np.concatenate([*some, *some]) + 2.0 * caster.offset_m * up
     origins = np.repeat(starts, RAYS, axis=0)
-    hits = caster.closest(origins, np.tile(_hemisphere(side * plane.normal), (len(starts), 1)))
+    hits = caster.closest(origins, _hemispheres(up).reshape(-1, 3))
     ways = np.where(hits.valid[:, None], hits.position - origins, np.inf)
     # Rays of a place at the very foot of another surface may begin beyond it.
     is_clear = (np.linalg.norm(ways, axis=1) > CLEAR * caster.offset_m).reshape(-1, RAYS).all(axis=1)
-    of_clear = hits.valid & np.repeat(is_clear, RAYS)
+    passing = np.flatnonzero(hits.valid & np.repeat(is_clear, RAYS))
     # A point of the ray just before its hit: one lifted off the surface may be outside of a solid, at its edge.
-    before = origins[of_clear] + (1.0 - SHORT_OF) * ways[of_clear]
-    return _seen(caster, starts[is_clear], sources) + _seen(caster, before, sources)
+    before = origins[passing] + (1.0 - SHORT_OF) * ways[passing]
+    # A place looks at all sources, a ray from there at one of them: the next place's ray at the next.
+    of_start, of_source = np.divmod(np.arange(is_clear.sum() * len(sources)), len(sources))
+    ends = np.concatenate([sources[of_source], sources[(passing + passing // RAYS) % len(sources)]])
+    is_hidden = caster.occluded(np.concatenate([starts[is_clear][of_start], before]), ends)
+    owner = np.concatenate([side[is_clear][of_start], side[passing // RAYS]])
+    return np.bincount(owner[~is_hidden], minlength=2 * len(shared)).reshape(-1, 2)
 
 
-def _seen(caster: Raycaster, places: Floats, sources: Floats) -> int:
-    """How many pairs of a place (n, 3) and a source (m, 3) see each other."""
-    starts = np.repeat(places, len(sources), axis=0)
-    return int(np.count_nonzero(~caster.occluded(starts, np.tile(sources, (len(places), 1)))))
-
-
-def _hemisphere(normal: Floats) -> Floats:
-    """(RAYS, 3) directions about a normal, evenly spread over heights and azimuths."""
+def _hemispheres(normals: Floats) -> Floats:
+    """(n, RAYS, 3) directions about normals (n, 3), evenly spread over heights and azimuths."""
     height = (np.arange(RAYS) + 0.5) / RAYS
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(RAYS)
-    right = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    right /= np.linalg.norm(right)
-    across = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * np.cross(normal, right)
-    return np.asarray(height[:, None] * normal + np.sqrt(1.0 - height**2)[:, None] * across)
+    right = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    axes = np.stack([right, np.cross(normals, right), normals], axis=1)
+    across = np.sqrt(1.0 - height**2)
+    return np.asarray(np.stack([across * np.cos(angle), across * np.sin(angle), height], axis=1) @ axes)
 
 
 def shared_planes(scene: Scene) -> Iterator[Shared]:
     """The planes in which triangles of two parts overlap in more than an edge, for each two parts.
 
-    At most `PAIRS` pairs of triangles of each two parts are tried in each plane; each pair gives four or more places.
-    A plane may come twice.
+    A plane comes twice where its triangles are not the same in both groupings of `_in_one_plane`.
     """
-    corners, part = scene.corners, scene.face_part.astype(np.int64)
-    low, high = scene.vertices.min(axis=0), scene.vertices.max(axis=0)
-    extent = float((high - low).max())
+    part, low, high = scene.face_part, scene.vertices.min(axis=0), scene.vertices.max(axis=0)
+    middle, extent = (low + high) / 2, float((high - low).max())
+    corners = (scene.corners - middle) / extent
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # Triangles of one plane may face opposite ways: the largest component of their normals is made positive.
-    axis = np.abs(normal).argmax(axis=1)
-    normal *= np.sign(normal[np.arange(len(axis)), axis])[:, None]
-    offset = np.einsum("nk,nk->n", normal, corners[:, 0] - (low + high) / 2) / extent
-    plane = np.column_stack([normal, offset]) / PLANE
+    # Triangles of one plane may face opposite ways: all are seen from one side, on which a direction leads that lies
+    # in no plane but by chance.
+    is_behind = normal @ (1.0, np.sqrt(2.0), np.sqrt(3.0)) < 0
+    normal[is_behind] *= -1
+    corners[is_behind] = corners[is_behind, ::-1]
+    triangles = _Triangles.of(corners, normal)
+    planes = np.column_stack([normal, np.einsum("nk,nk->n", normal, corners[:, 0])])
+    for ones, twos in _in_one_plane(planes, part):
+        few, many = sorted((_beside(triangles, ones, twos), _beside(triangles, twos, ones)), key=len)
+        some = many[:: len(many) // MOST_LOOKED_AT + 1]
+        step = max(PAIRS_AT_ONCE // max(len(few), 1), 1)
+        batches = [some[k : k + step] for k in range(0, len(some), step)]
+        places = [_common(triangles.take(batch), triangles.take(few)) for batch in batches]
+        places = np.concatenate([np.zeros((0, 3)), *places])
+        if len(places):
+            yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
+
+
+def _beside(triangles: _Triangles, ones: Ints, twos: Ints) -> Ints:
+    """Those of `ones` that touch the box around all of `twos`."""
+    of_twos = triangles.corners[twos].reshape(-1, 3)
+    low, high = triangles.corners[ones].min(axis=1), triangles.corners[ones].max(axis=1)
+    touches = (low <= of_twos.max(axis=0) + PLANE) & (high >= of_twos.min(axis=0) - PLANE)
+    return ones[touches.all(axis=1)]
+
+
+def _in_one_plane(planes: Floats, part: NDArray[np.int32]) -> Iterator[tuple[Ints, Ints]]:
+    """Triangles of two parts each that lie in one of the `planes` (F, 4)."""
+    seen = set[tuple[bytes, bytes]]()
     # Triangles are grouped into planes by rounding, and again by rounding half a step further on, so that no plane
     # is split both times.
     for shift in (0.0, 0.5):
-        for rows in _of_several_parts(np.floor(plane + shift).astype(np.int64), part):
-            # Along the axis that the plane faces most, its triangles are projected without becoming needles.
-            flat = np.delete(corners[rows], axis[rows[0]], axis=2) / extent
-            for one, two in itertools.combinations(np.unique(part[rows]), 2):
-                ones, twos = np.flatnonzero(part[rows] == one), np.flatnonzero(part[rows] == two)
-                places = [
-                    _common(corners[rows[ones[i]]], corners[rows[twos[j]]], normal[rows[ones[i]]])
-                    for i, j in _overlapping(flat[ones], flat[twos])
-                ]
-                found = np.concatenate([np.zeros((0, 3)), *places])
-                if len(found):
-                    yield Shared(int(one), int(two), rows[ones], rows[twos], found, normal[rows[0]])
+        cells = np.floor(planes / PLANE + shift)
+        order = np.lexsort((part, *cells.T))
+        is_first = (cells[order[1:]] != cells[order[:-1]]).any(axis=1)
+        is_shared = ~is_first & (part[order[1:]] != part[order[:-1]])
+        group = np.append(0, np.cumsum(is_first))
+        for number in np.unique(group[1:][is_shared]):
+            rows = order[slice(*np.searchsorted(group, [number, number + 1]))]
+            of_parts = np.split(rows, np.flatnonzero(np.diff(part[rows])) + 1)
+            for ones, twos in itertools.combinations(of_parts, 2):
+                if (key := (ones.tobytes(), twos.tobytes())) not in seen:
+                    seen.add(key)
+                    yield ones, twos
 
 
-def _of_several_parts(planes: Ints, part: Ints) -> Iterator[Ints]:
-    """The triangles of each of the `planes` (F, 4) in which triangles of more than one part lie."""
-    order = np.lexsort((part, *planes.T))
-    same_plane = (planes[order[1:]] == planes[order[:-1]]).all(axis=1)
-    group = np.append(0, np.cumsum(~same_plane))
-    several = np.unique(group[1:][same_plane & (part[order[1:]] != part[order[:-1]])])
-    for number in several:
-        first, last = np.searchsorted(group, [number, number + 1])
-        yield np.sort(order[first:last])
+NEXT = [1, 2, 0]
+"""The corner that follows each of a triangle's."""
 
 
-def _overlapping(ones: Floats, twos: Floats) -> list[tuple[int, int]]:
-    """Index pairs of triangles `ones` (n, 3, 2) and `twos` (m, 3, 2) that overlap, at most `PAIRS` of them."""
-    found: list[tuple[int, int]] = []
-    step = max(VALUES_AT_ONCE // len(twos), 1)
-    for start in range(0, len(ones), step):
-        batch = ones[start : start + step]
-        # Few pairs of bounding rectangles overlap; only for these the sides of the triangles are compared.
-        near = (batch.min(axis=1)[:, None] < twos.max(axis=1) - APART) & (
-            batch.max(axis=1)[:, None] > twos.min(axis=1) + APART
-        )
-        i, j = np.nonzero(near.all(axis=2))
-        keep = _not_separated(batch[i], twos[j])
-        found += [(start + int(a), int(b)) for a, b in zip(i[keep], j[keep], strict=True)]
-        if len(found) >= PAIRS:
-            break
-    return found[:PAIRS]
+class _Triangles(NamedTuple):
+    """Triangles of one plane, seen from one side. corners : (n, 3, 3), counter-clockwise. inward : (n, 3, 3) unit
+    vectors across the sides, towards the inner one. offset : (n, 3) how far along them the sides lie."""
+
+    corners: Floats
+    inward: Floats
+    offset: Floats
+
+    @classmethod
+    def of(cls, corners: Floats, normal: Floats) -> _Triangles:
+        """Triangles from their corners and normals (n, 3)."""
+        inward = np.cross(normal[:, None], corners[:, NEXT] - corners)
+        inward /= np.linalg.norm(inward, axis=2, keepdims=True)
+        return cls(corners, inward, np.einsum("nsk,nsk->ns", corners, inward))
+
+    def take(self, rows: Ints) -> _Triangles:
+        """Some of the triangles."""
+        return _Triangles(*(values[rows] for values in self))
+
+    def heights(self, points: Floats) -> Floats:
+        """(n, p, 3) how far inside of each side points (n, p, 3) lie."""
+        return np.asarray(np.einsum("npk,nsk->nps", points, self.inward) - self.offset[:, None])
 
 
-def _common(one: Floats, two: Floats, normal: Floats) -> Floats:
-    """(n, 3) places within both of two overlapping triangles (3, 3) of one plane: the middle of the polygon that they
-    share, and the points halfway from there to the polygon's corners."""
-    polygon = list(one)
-    turn = np.sign(np.cross(two[1] - two[0], two[2] - two[0]) @ normal)
-    for k in range(3):
-        # The polygon is cut along each side of the other triangle, and the inner piece kept (Sutherland & Hodgman).
-        inward = turn * np.cross(normal, two[(k + 1) % 3] - two[k])
-        heights = [float((place - two[k]) @ inward) for place in polygon]
-        kept = []
-        for m, (a, h) in enumerate(zip(polygon, heights, strict=True)):
-            b, g = polygon[m - 1], heights[m - 1]
-            if (g > 0) != (h > 0):
-                kept.append(b + (a - b) * g / (g - h))
-            if h > 0:
-                kept.append(a)
-        polygon = kept
-    middle = np.mean(polygon, axis=0)
-    return np.array([middle, *(0.5 * (middle + place) for place in polygon)]) if polygon else np.zeros((0, 3))
-
-
-def _not_separated(ones: Floats, twos: Floats) -> Bools:
-    """(n,) whether triangles `ones` and `twos` (n, 3, 2) overlap: no side of either separates them."""
-    overlap = np.ones(len(ones), np.bool_)
-    for triangle in (ones, twos):
-        for k in range(3):
-            side = triangle[:, (k + 1) % 3] - triangle[:, k]
-            length = np.linalg.norm(side, axis=1)
-            # Convex figures in a plane overlap unless their extents across some side do not.
-            across = np.stack([-side[:, 1], side[:, 0]], axis=1) / np.where(length > 0, length, 1.0)[:, None]
-            a, b = (np.einsum("nvk,nk->nv", of, across) for of in (ones, twos))
-            overlap &= np.minimum(a.max(axis=1), b.max(axis=1)) - np.maximum(a.min(axis=1), b.min(axis=1)) > APART
-    return overlap
+def _common(ones: _Triangles, twos: _Triangles) -> Floats:
+    """(n, 3) places within both of two triangles that overlap, of any two: the middle of the polygon that they share,
+    and the points halfway from there to its corners."""
+    low, high = twos.corners.min(axis=1) - PLANE, twos.corners.max(axis=1) + PLANE
+    near = (ones.corners.min(axis=1)[:, None] < high) & (ones.corners.max(axis=1)[:, None] > low)
+    # Few pairs of bounding boxes touch.
+    i, j = np.nonzero(near.all(axis=2))
+    ones, twos = ones.take(i), twos.take(j)
+    of_ones, of_twos = twos.heights(ones.corners), ones.heights(twos.corners)
+    # The polygon's corners are those of either triangle that lie in the other, and the crossings of their sides.
+    ahead = of_ones[:, NEXT]
+    crosses = ((of_ones > 0) != (ahead > 0)) & ((of_twos > 0) != (of_twos[:, NEXT] > 0)).swapaxes(1, 2)
+    share = np.divide(of_ones, of_ones - ahead, out=np.zeros_like(of_ones), where=crosses)[..., None]
+    crossings = (1 - share) * ones.corners[:, :, None] + share * ones.corners[:, NEXT, None]
+    corners = np.concatenate([ones.corners, twos.corners, crossings.reshape(-1, 9, 3)], axis=1)
+    inside = [(heights > -APART).all(axis=2) for heights in (of_ones, of_twos)]
+    is_corner = np.concatenate([*inside, crosses.reshape(-1, 9)], axis=1)
+    middle = np.einsum("nc,nck->nk", is_corner, corners) / np.maximum(is_corner.sum(axis=1), 1)[:, None]
+    middle = middle[:, None]
+    # Triangles that only touch have no middle.
+    overlaps = np.minimum(ones.heights(middle), twos.heights(middle)).min(axis=2) > APART
+    return np.concatenate([middle[overlaps], ((middle + corners) / 2)[is_corner & overlaps]])

@@ -1,4 +1,4 @@
-"""Measured edges of a TDC's bins in a configuration: read from files, stored as numbers, and used by the detector."""
+"""Keys of the detector: its period, with which a time axis ends, and measured edges of a TDC's bins."""
 
 from __future__ import annotations
 
@@ -13,10 +13,48 @@ import pytest
 import datagen as dg
 from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping, load_config
+from datagen.config.device import DeviceConfig, read_device
 from datagen.detector import detector_for
 from datagen.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("builds_here")
+
+
+def settings(rate_mhz: Any, bins: int = 512) -> dict[str, Any]:
+    return {
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": bins, "bin_width_ps": 100, "start_ns": 30}},
+        "detector": {"repetition_rate_mhz": rate_mhz},
+    }
+
+
+@pytest.mark.parametrize("mode", ["ideal", "synchronous", "free_running"])
+def test_a_longer_axis_is_refused_in_every_mode(mode: str) -> None:
+    for rate, said in ((80, "= 80 with"), ({"uniform": [5, 80]}, "= 5 … 80 with")):
+        values = settings(rate)
+        values["detector"]["mode"] = mode
+        with pytest.raises(dg.InputError, match=f"detector.repetition_rate_mhz {said}.*12.5 ns") as caught:
+            config_from_mapping(values)
+        assert "\n" not in str(caught.value)
+    # What it allows is taken; the axis may begin at any time.
+    config_from_mapping(settings(rate, bins=125))
+    config_from_mapping(settings(19.53125))
+
+
+def test_a_rate_that_is_left_out_makes_room() -> None:
+    """Such as for recorded captures, whose laser nobody names."""
+    config = config_from_mapping(settings(None, bins=4096))
+    _, exposure = detector_for(config.detector, 0, 0, config.capture.time.axis())
+    assert exposure.period_s == pytest.approx(409.6e-9)
+
+
+def test_devices_likewise() -> None:
+    device = read_device("vl53l1x", DeviceConfig).model_dump(mode="json")
+    with pytest.raises(dg.InputError, match=r"device.*counting\.repetition_rate_mhz = 80 with time: .*12\.5 ns"):
+        values = device | {"counting": device["counting"] | {"repetition_rate_mhz": 80}}
+        config_from_mapping({"capture": {"device": values}})
+    with pytest.raises(dg.InputError, match=r"detector\.repetition_rate_mhz = 80 with capture\.time"):
+        config_from_mapping({"capture": {"device": "vl53l1x"}, "detector": {"repetition_rate_mhz": 80}})
+
 
 REAL = Path(__file__).resolve().parents[3] / "shared" / "real" / "linospad2_tdc.csv.gz"
 EDGES = [[0.0, 0.0, 30.25, 300.0], [0.0, 150.5, 150.5, 300.0]]
@@ -99,11 +137,10 @@ def test_wrong_edges_are_refused_in_a_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not REAL.is_file(), reason=f"needs the measured edges of a LinoSPAD2's TDCs, {REAL.name}")
-def test_the_catalogue_s_linospad2_with_its_measured_tdcs() -> None:
+def test_the_catalogue_s_linospad2_takes_its_measured_edges() -> None:
     """Its bins are stated to 17.857 ps, and 140 of them are 2.5 ns."""
     settings = {"capture": {"device": "linospad2"}, "detector": {"tdc_edges_ps": REAL.name}}
     config = config_from_mapping(settings, base_directory=REAL.parent)
     check_inputs(config)
-    assert config.detector.tdc_edges_ps is not None and config.detector.dead_time_ns == 50
-    widths = np.diff(config.detector.tdc_edges_ps)
+    widths = np.diff(config.detector.tdc_edges_ps)  # type: ignore[arg-type]
     assert widths.shape == (253, 140) and widths.std() / widths.mean() == pytest.approx(0.94, abs=0.01)
