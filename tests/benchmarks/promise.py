@@ -45,8 +45,8 @@ from datagen.exit_status import exit_with, guarded
 from datagen.records import Accuracy, Capture, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.error_control.refinement import by_light
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.visibility.raycast import Raycaster
 
 TARGETS = (0.02, 0.05)

@@ -23,8 +23,8 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
 from datagen.records import Material, OrenNayar, Retroreflector, SinLobe, Transient
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import reference
-from datagen.transport.sampled_paths import sample_paths
 
 RUNS, LEVEL = 8, 1e-4
 """Level for each case: of 432 nightly cases with four ways each, one in six nights would fail by chance."""

@@ -19,8 +19,8 @@ from test_all_ways import CAPTURES, energies, scene_of
 
 from datagen import Capture, Scene
 from datagen.records import Transient
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.sampled_paths import sample_paths
 
 RUNS, LEVEL = 16, 1e-4
 PLAIN, SAMPLED = 1 << 15, 1 << 11

@@ -20,10 +20,10 @@ from sphere_chords import unit_ball
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.paths import sample_paths
 from datagen.transport.quadrature.four_bounces import Secondary, secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import reference
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.simulate import prepared
 
 RUNS, LEVEL, OWN = 8, 1e-3, 0.04

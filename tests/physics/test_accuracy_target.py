@@ -21,10 +21,10 @@ from datagen.transport.error_control.confidence import Scatter, bound_factor, di
 from datagen.transport.error_control.rounds import sampled
 from datagen.transport.error_control.stratum import Known
 from datagen.transport.path_tracing.replicate_spread import Sketch
+from datagen.transport.paths import sample_paths
 from datagen.transport.quadrature.four_bounces import secondary_by_cells
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.simulate import prepared
 
 AXIS = bins_of_path(40, 0.5, 0.0)

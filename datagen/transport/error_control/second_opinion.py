@@ -27,9 +27,9 @@ from scipy.special import ndtri
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.error_control.cost import SAMPLE
+from datagen.transport.paths import sample_paths
 from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
 from datagen.units import time_from_path
 
