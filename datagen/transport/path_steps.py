@@ -30,6 +30,8 @@ gain little there."""
 SMALLEST = 1e-200
 """Densities below this count as 0: far below any density with which a path is drawn, and still safe to divide by."""
 
+NO_GOAL, NO_NORMAL = np.int64(-1), (0.0, 0.0, 0.0)
+
 R = TypeVar("R", bound=tuple)  # type: ignore[type-arg]
 
 
@@ -177,9 +179,9 @@ def draw_numbers(words, seeds, number, out):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _independent(seed, sample, order, which):  # type: ignore[no-untyped-def]
-    """A pseudo-random number in 0 … 1 of a sample; `which` numbers those of one order."""
-    return (np.float64(word_of(seed, sample, 4 * order + which)) + 0.5) * 2.0**-BITS
+def _independent(seed, sample, which):  # type: ignore[no-untyped-def]
+    """The pseudo-random number of a sample with the number `which`, in 0 … 1."""
+    return (np.float64(word_of(seed, sample, which)) + 0.5) * 2.0**-BITS
 
 
 @compiled()
@@ -187,7 +189,7 @@ def later_numbers(seeds, number, order):  # type: ignore[no-untyped-def]
     """(n,) numbers for the Russian roulette of samples."""
     out = np.empty(len(number))
     for i in range(len(out)):
-        out[i] = _independent(seeds[i], number[i], order, 2)
+        out[i] = _independent(seeds[i], number[i], 3 * order)
     return out
 
 
@@ -195,6 +197,12 @@ def later_numbers(seeds, number, order):  # type: ignore[no-untyped-def]
 def _vector(rows, i):  # type: ignore[no-untyped-def]
     """Row i of an array (n, 3) as a vector."""
     return (rows[i, 0], rows[i, 1], rows[i, 2])
+
+
+@compiled()
+def _triple(row):  # type: ignore[no-untyped-def]
+    """A row of three numbers as a vector."""
+    return (row[0], row[1], row[2])
 
 
 @compiled()
@@ -285,8 +293,7 @@ def _drawn(world, a, u, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _meeting(corner, n, origin, direction):  # type: ignore[no-untyped-def]
-    """Where a ray meets the plane of a triangle, in double precision; its normal, turned against the ray; whether it
-    does. Only the triangle is embree's answer."""
+    """`_met` for a triangle with a corner and a normal."""
     approach = dot(n, direction)
     # Edge-on the plane gives no distance.
     reach = dot(n, subtract(corner, origin)) / approach if approach != 0.0 else -1.0
@@ -297,9 +304,15 @@ def _meeting(corner, n, origin, direction):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _met(world, face, origin, direction):  # type: ignore[no-untyped-def]
-    """`_meeting` of a triangle by number."""
-    corner = (world.corners[face, 0, 0], world.corners[face, 0, 1], world.corners[face, 0, 2])
-    return _meeting(corner, _vector(world.face_normal, face), origin, direction)
+    """Where a ray meets the plane of a triangle; its normal, turned against the ray; whether the ray meets it.
+
+    Only the triangle is embree's answer: the point is computed in double precision.
+    """
+    c, o, d = (world.corners[face, 0, 0], world.corners[face, 0, 1], world.corners[face, 0, 2]), origin, direction
+    # The same types at every call, as each further one would be compiled apart.
+    return _meeting(
+        c, _vector(world.face_normal, face), o, (np.float64(d[0]), np.float64(d[1]), np.float64(d[2]))
+    )  # fmt: skip
 
 
 @compiled()
@@ -325,8 +338,8 @@ def _seen_within(planes, footprints, into, pixel, w):  # type: ignore[no-untyped
     if footprints.shape[1] * footprints.shape[2] == 1:
         return footprints[pixel, 0, 0]
     m = into[pixel]
-    over = dot(_vector(m, 2), w)
-    return _sensitivity(footprints, pixel, dot(_vector(m, 0), w) / over, dot(_vector(m, 1), w) / over)
+    over = dot(_triple(m[2]), w)
+    return _sensitivity(footprints, pixel, dot(_triple(m[0]), w) / over, dot(_triple(m[1]), w) / over)
 
 
 @compiled()
@@ -349,27 +362,26 @@ def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore
     corners : (P, 4, 3) of the pixels, relative to the sensor. A point uniform on the pixel's quadrilateral q(u, v),
     as seen from the sensor, stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
     """
-    nowhere, footprints = (0.0, 0.0, 0.0), world.footprints
-    sensor = (world.sensor[0], world.sensor[1], world.sensor[2])
+    footprints, sensor = world.footprints, _triple(world.sensor)
     for s in range(len(pixel)):
         u, v, of = numbers[s, 0], numbers[s, 1], corners[pixel[s]]
-        a, b, c, d = _vector(of, 0), _vector(of, 1), _vector(of, 2), _vector(of, 3)
+        a, b, c, d = _triple(of[0]), _triple(of[1]), _triple(of[2]), _triple(of[3])
         lower, upper = _along(a, u, subtract(b, a)), _along(d, u, subtract(c, d))
         along_u, along_v = _along(subtract(b, a), v, subtract(subtract(c, d), subtract(b, a))), subtract(upper, lower)
         q = _along(lower, v, along_v)
         solid[s] = abs(dot(q, cross(along_u, along_v))) / (dot(q, q) * math.sqrt(dot(q, q)))
         solid[s] *= _sensitivity(footprints, pixel[s], u, v)
-        _write_ray(world, rays, s, s, -1, sensor, nowhere, q)
+        _write_ray(world, rays, s, s, NO_GOAL, sensor, NO_NORMAL, q)
 
 
 @compiled()
 def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
     """Fill v with the FoV points where lines of sight landed, a row for each; `power` is 0 where there is none."""
-    sensor = (world.sensor[0], world.sensor[1], world.sensor[2])
+    sensor = _triple(world.sensor)
     for s in range(len(faces)):
         v.sample[s], v.power[s] = s, 0.0
-        if faces[s] >= 0:
-            face = np.int64(faces[s])
+        face = np.int64(faces[s])
+        if face >= 0:
             position, normal, meets = _met(world, face, sensor, _vector(rays.direction, s))
             if meets:
                 back, leg = _toward(position, sensor)
@@ -386,7 +398,7 @@ def rays_back(world, v, numbers, rays):  # type: ignore[no-untyped-def]
             a = _row(world, v, s)
             w = _drawn(world, a, numbers[s, 5], numbers[s, 6])
             if dot(a.normal, w) > 0.0:
-                _write_ray(world, rays, count, s, -1, a.position, a.normal, w)
+                _write_ray(world, rays, count, s, NO_GOAL, a.position, a.normal, w)
                 count += 1
     return count
 
@@ -397,11 +409,12 @@ def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
     for s in range(len(v.power)):
         h.face[s] = -1
     for k in range(len(faces)):
-        if faces[k] >= 0:
+        face = np.int64(faces[k])
+        if face >= 0:
             s = rays.of[k]
-            position, normal, meets = _met(world, faces[k], _vector(v.position, s), _vector(rays.direction, k))
+            position, normal, meets = _met(world, face, _vector(v.position, s), _vector(rays.direction, k))
             if meets:
-                h.face[s] = faces[k]
+                h.face[s] = face
                 _write(h.position, s, position)
                 _write(h.normal, s, normal)
 
@@ -410,8 +423,8 @@ def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
 def _place_on(corners, face, u, v):  # type: ignore[no-untyped-def]
     """A point uniform on a triangle."""
     of, root = corners[face], math.sqrt(u)
-    a = _vector(of, 0)
-    return _along(_along(a, root * (1.0 - v), subtract(_vector(of, 1), a)), root * v, subtract(_vector(of, 2), a))
+    a = _triple(of[0])
+    return _along(_along(a, root * (1.0 - v), subtract(_triple(of[1]), a)), root * v, subtract(_triple(of[2]), a))
 
 
 @compiled()
@@ -421,7 +434,7 @@ def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untype
     count = 0
     for i in range(len(b.sample)):
         s, a = b.sample[i], _row(world, b, i)
-        choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], np.int64(-1)
+        choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
         if choice < BY_AREA:
             goal = draw_triangle(aim, row[s], choice / BY_AREA)
             place = _place_on(world.corners, goal, u, v)
@@ -445,10 +458,11 @@ def rays_onward(world, x, numbers, seeds, number, order, rays):  # type: ignore[
         if order == 3:
             u, v = numbers[s, 7], numbers[s, 8]
         else:
-            u, v = _independent(seeds[s], number[s], order, 0), _independent(seeds[s], number[s], order, 1)
+            u = _independent(seeds[s], number[s], 3 * order + 1)
+            v = _independent(seeds[s], number[s], 3 * order + 2)
         w = _drawn(world, a, u, v)
         if dot(a.normal, w) > 0.0:
-            _write_ray(world, rays, count, i, -1, a.position, a.normal, w)
+            _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
             count += 1
     return count
 
@@ -591,7 +605,7 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
     """
     count, values, part = 0, world.values, world.part
     planes, footprints, into = world.planes, world.footprints, world.into
-    sensor, nowhere = (world.sensor[0], world.sensor[1], world.sensor[2]), (0.0, 0.0, 0.0)
+    sensor = _triple(world.sensor)
     for k in range(len(of)):
         s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
         back, leg = _toward(c.position, sensor)
@@ -604,12 +618,13 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
             gain = seen * _aperture(world, leg) * solid * transmittance(world.attenuation, leg)
             end = _vertex(world, c.face, c.position, c.normal, back, gain, 0.0, leg)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            photons, r = _photons(values, a, end, solid, by_area, order, True, world.lobed[a.part])
+            # Visibility always counts here; a literal `True` would be compiled apart.
+            photons, r = _photons(values, a, end, solid, by_area, order, order > 1, world.lobed[a.part])
             if photons > 0.0:
                 path = a.path + r + leg * world.from_source
                 photons *= transmittance(world.attenuation, r)
                 _write_path(found, count, s, a.part if order > 2 else c.part, path, photons)
-                _write_shadow_ray(world, rays, count, sensor, nowhere, c.position, c.normal)
+                _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, c.position, c.normal)
                 count += 1
     return count
 
@@ -620,7 +635,7 @@ def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
     and rays with a shadow ray from the sensor for each; returns how many."""
     count, values = 0, world.values
     planes, footprints, into = world.planes, world.footprints, world.into
-    sensor, nowhere = (world.sensor[0], world.sensor[1], world.sensor[2]), (0.0, 0.0, 0.0)
+    sensor = _triple(world.sensor)
     for i in range(len(x.sample)):
         s, a = x.sample[i], _row(world, x, i)
         w, leg = _toward(a.position, sensor)
@@ -631,7 +646,7 @@ def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
             photons = a.power * f * cosine * seen * transmittance(world.attenuation, leg)
             photons *= _aperture(world, leg) / (leg * leg)
             _write_path(found, count, s, a.part, a.path + leg * world.from_source, photons)
-            _write_shadow_ray(world, rays, count, sensor, nowhere, a.position, a.normal)
+            _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, a.position, a.normal)
             count += 1
     return count
 

@@ -196,11 +196,11 @@ class _Tracer:
 
     def aimed(self, pairs: Ints) -> Aim:
         """How pairs (n, 2) draw points by area."""
-        v = self.fov_points(pairs[:, 1], np.full((len(pairs), 2), 0.5))
-        number = self.laser_row[pairs[:, 0]]
+        laser, pixel = pairs.T.copy()
+        v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
         x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
         x = x._replace(power=x.power * (number >= 0))
-        size = 0.5 * np.sqrt(self.world.solid_angle[pairs[:, 1]]) * v.path
+        size = 0.5 * np.sqrt(self.world.solid_angle[pixel]) * v.path
         return aimed_at(self.even_aim, self.world, x, v, size, self.caster.face_area_m2, self.radius)
 
     def fov_points(self, pixel: Ints, numbers: Floats) -> Vertices:
@@ -219,7 +219,7 @@ class _Tracer:
         footprints, into = np.ones((pixels, 1, 1)), np.zeros((pixels, 3, 3))
         if sensor.footprints is not None:
             a, b, d = (self.corners[:, k] for k in (0, 1, 3))
-            footprints, into = sensor.footprints, np.linalg.inv(np.stack([b - a, d - a, a], axis=2))
+            footprints, into = sensor.footprints.copy(), np.linalg.inv(np.stack([b - a, d - a, a], axis=2))
         lobed = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
         return World(
             caster.corners, caster.face_normal, scene.face_part.astype(np.int64), materials.kind, materials.values,

@@ -5,7 +5,7 @@
 
 The scenes are those of configurations, each at some random laser points (pixels, where one laser point has many), as
 in a build; or, with `--foreign`, scenes that no configuration would draw (`foreign_scenes.py`). The error of the
-whole and of each object's own light is measured against independent runs X₁ … X_K of `transport/sampled_paths.py`,
+whole and of each object's own light is measured against independent runs X₁ … X_K of `transport/paths.py`,
 which has no surface elements. With dₖ = ours − Xₖ,
 
     Σ_{j≠k} dⱼ·dₖ / (K (K − 1))    has the mean    ‖ours − true‖²,

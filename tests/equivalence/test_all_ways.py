@@ -1,6 +1,6 @@
 """Every way of computing light equals the definition (`transport/reference.py`), for every BRDF, shape and scan.
 
-The truth is sampled paths, which `test_sampled_paths.py` compares with the definition itself.
+The truth is sampled paths, which `test_paths.py` compares with the definition itself.
 
 Energies of the primary and of the secondary are compared: of each part (primary only), of each histogram, and of
 windows of time. Reference and path tracing are known from `RUNS` independent runs, so a difference is judged by

@@ -1,7 +1,7 @@
 """A second opinion on computed light: a few unbiased samples of its energy, by part and time window.
 
 Differences between two cuttings of one method show errors of discretisation and nothing of what both cuttings miss.
-So some pairs of laser point and pixel are drawn at random, and paths of light (`sampled_paths.py`, which uses no
+So some pairs of laser point and pixel are drawn at random, and paths of light (`paths.py`, which uses no
 surface elements) measure how much more or less energy arrives than was computed, by part and in coarse windows of
 time. With chance q to draw a pair, x its sampled energy and m its computed energy,
 

@@ -1,5 +1,5 @@
-"""Sampled paths of light obey laws: spheres, dark scenes, seeds, and the scatter they claim.
-`tests/equivalence/test_sampled_paths.py` shows that they equal the definition."""
+"""Paths of light obey laws: spheres, dark scenes, seeds, and the scatter they claim.
+`tests/equivalence/test_paths.py` shows that they equal the definition."""
 
 from __future__ import annotations
 
