@@ -30,20 +30,23 @@ meshes with more triangles."""
 class Aim(NamedTuple):
     """How points are drawn by area for n pairs of laser point and pixel.
 
-    The densities of part k begin at `begin[k]` in two lists of all parts; those of pair r begin at begin[k] + r
+    Two lists hold numbers of the triangles of all parts. Those of part k for pair r begin at `begin[k]` + r
     `stride[k]`, where the stride of a part without guesses is 0.
 
-    running : (K,) running sum of the chances of parts. chance : (K,) of each, over its area, 1/m². begin, stride,
-    count : (K,), the latter the number of triangles. triangles, first : (F,) triangles sorted by part, and (K,) where
-    those of a part begin. rank : (F,) place of each triangle within its part.
-    density, share : of each part, pair and triangle the density of points, 1/m², and the running sum of the chances.
+    Attributes
+    ----------
+    running, chance : (K,) running sum of the chances of parts, and each chance over the part's area, 1/m².
+    begin, stride, length : (K,) see above; the latter is the number of triangles.
+    triangles, first : (F,) triangles sorted by part, and (K,) where those of a part begin.
+    rank : (F,) place of each triangle within its part.
+    density, share : the two lists: the density of points on a triangle, 1/m², and the running sum of the chances.
     """
 
     running: Floats
     chance: Floats
     begin: Ints
     stride: Ints
-    count: Ints
+    length: Ints
     triangles: Ints
     first: Ints
     rank: Ints
@@ -118,13 +121,13 @@ def draw_triangle(aim, row, number):  # type: ignore[no-untyped-def]
     """A triangle drawn for the pair of a row by a number in 0 … 1."""
     k = min(np.searchsorted(aim.running, number * aim.running[-1], side="right"), len(aim.running) - 1)
     below = aim.running[k - 1] if k > 0 else 0.0
-    start, count = aim.begin[k] + row * aim.stride[k], aim.count[k]
+    start, count = aim.begin[k] + row * aim.stride[k], aim.length[k]
     within = (number * aim.running[-1] - below) / (aim.running[k] - below)
     share = aim.share[start : start + count]
     return aim.triangles[aim.first[k] + min(np.searchsorted(share, within * share[-1], side="right"), count - 1)]
 
 
-@compiled()
+@compiled(inline="always")
 def _guess(kinds, rows, x, n, v, m, back_x, back_v, middle, normal, radius, size, wide):  # type: ignore[no-untyped-def]
     """f₁ cosθ₁ |cosθ₂| / R₁² · f₂ · |cosθ₂′| cosθ₃ / R₃² · f₃ by way of the middle of a triangle, seen or not.
 
@@ -164,10 +167,11 @@ def _share_by_guesses(aim, world, x, v, size, area, radius, density, share):  # 
         p1, p3 = world.part[x.face[r]], world.part[v.face[r]]
         a, n, back_a = x.position[r], x.normal[r], x.back[r]
         c, m, back_c = v.position[r], v.normal[r], v.back[r]
-        for k in range(len(aim.count)):
+        for k in range(len(aim.length)):
             if aim.stride[k] == 0:
                 continue
-            start, count, first, total, whole = aim.begin[k] + r * aim.stride[k], aim.count[k], aim.first[k], 0.0, 0.0
+            start, count, first = aim.begin[k] + r * aim.stride[k], aim.length[k], aim.first[k]
+            total = whole = 0.0
             for j in range(count):
                 f = aim.triangles[first + j]
                 middle = (

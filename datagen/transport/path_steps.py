@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
@@ -50,7 +51,7 @@ class World(NamedTuple):
     corners: Floats
     face_normal: Floats
     part: Ints
-    kind: Ints
+    kind: Ints | NDArray[np.uint8]
     values: Floats
     lobed: Bools
     attenuation: float
@@ -116,8 +117,8 @@ class Rays(NamedTuple):
     of: Ints
     goal: Ints
     place: Floats
-    origin: Floats
-    direction: Floats
+    origin: NDArray[np.float32]
+    direction: NDArray[np.float32]
 
 
 class Found(NamedTuple):

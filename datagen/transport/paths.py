@@ -26,6 +26,7 @@ finds what they meet, and the next loop goes on from there.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -273,16 +274,15 @@ def sample_paths(
         (`Accuracy.occlusion` is not "off").
     seed : the same seed gives the same paths.
     """
-    found: list[list[Ints | Floats]] = [[np.empty(0, t)] for t in (int, int, int, float, float)]
+    none, nothing = np.empty(0, np.int64), np.empty(0)
+    found = [Paths(none, none, none, none, nothing, nothing)]
     for first, order, new in _all(
         caster, scene, materials, capture, pairs, samples, max_bounces, direct, occlusion, seed, 0
     ):
-        orders = np.full(len(new.sample), order)
-        columns = (new.sample + first, orders, new.part.copy(), new.path.copy(), new.photons.copy())
-        for column, values in zip(found, columns, strict=True):
-            column.append(values)
-    sample, order_of, part, path_m, photons = (np.concatenate(column) for column in found)
-    return Paths(sample // samples, sample, order_of, part, path_m, photons)
+        # Copies, as the arrays of a batch are used again.
+        sample, part, path_m, photons = new.sample + first, new.part.copy(), new.path.copy(), new.photons.copy()
+        found.append(Paths(sample // samples, sample, np.full(len(sample), order), part, path_m, photons))
+    return Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
 
 
 def path_light(
