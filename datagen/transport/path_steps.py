@@ -383,6 +383,7 @@ def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
         v.sample[s], v.power[s] = s, 0.0
         face = np.int64(faces[s])
         if face >= 0:
+            # The direction as embree knows it, in single precision, is the one whose triangle was found.
             position, normal, meets = _met(world, face, sensor, _vector(rays.direction, s))
             if meets:
                 back, leg = _toward(position, sensor)
@@ -398,6 +399,7 @@ def rays_back(world, v, numbers, rays):  # type: ignore[no-untyped-def]
         if v.power[s] > 0.0:
             a = _row(world, v, s)
             w = _drawn(world, a, numbers[s, 5], numbers[s, 6])
+            # A lobe may reach below the surface, where the BRDF is 0.
             if dot(a.normal, w) > 0.0:
                 _write_ray(world, rays, count, s, NO_GOAL, a.position, a.normal, w)
                 count += 1
@@ -437,6 +439,7 @@ def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untype
         s, a = b.sample[i], _row(world, b, i)
         choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
         if choice < BY_AREA:
+            # One number chooses way and triangle, so that its even spread serves both.
             goal = draw_triangle(aim, row[s], choice / BY_AREA)
             place = _place_on(world.corners, goal, u, v)
             w = subtract(place, _along(a.position, world.offset, a.normal))
@@ -477,6 +480,7 @@ def toward(world, b, h, rays):  # type: ignore[no-untyped-def]
         if h.face[s] >= 0:
             place = _vector(h.position, s)
             w = subtract(place, _along(p, world.offset, n))
+            # Between sides that face away from each other no light passes: the ray is saved.
             if dot(n, w) > 0.0 and dot(_vector(h.normal, s), w) < 0.0:
                 _write(rays.place, count, place)
                 _write_ray(world, rays, count, i, h.face[s], p, n, w)
@@ -523,6 +527,8 @@ def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type:
         if face < 0 or (goal >= 0 and face != goal and not returning):
             continue
         a, s = _row(world, b, i), b.sample[i]
+        # Where a ray goes is computed from the vertex itself, not from above it, where embree began: so hits have the
+        # density of rays from there, even at the foot of a wall that is nearer than rays are lifted.
         start, direction, place = a.position, _vector(rays.direction, k), a.position
         if goal >= 0:
             place, start = _vector(rays.place, k), _along(a.position, world.offset, a.normal)
@@ -610,6 +616,7 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
     for k in range(len(of)):
         s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
         back, leg = _toward(c.position, sensor)
+        # The quick tests come first: few vertices lie in the pixel.
         if dot(c.normal, back) <= 0.0 or (order > 2 and not world.lobed[a.part]):
             continue
         seen = _seen_within(planes, footprints, into, pixel[s], _minus(back))

@@ -273,6 +273,8 @@ def sample_paths(
         one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point
         (`Accuracy.occlusion` is not "off").
     seed : the same seed gives the same paths.
+
+    A laser point of a beam that states its cells (`Laser.cells`) lies anywhere in its cell, for paths of all orders.
     """
     none, nothing = np.empty(0, np.int64), np.empty(0)
     found = [Paths(none, none, none, none, nothing, nothing)]
