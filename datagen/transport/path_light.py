@@ -10,19 +10,16 @@ from datagen.records.arrays import Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.effort import REPLICATES, Floats32
 from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.paths import path_light
 from datagen.transport.problem import Estimate, Problem, component_of
 from datagen.transport.reference import pairs_of
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
-from datagen.units import time_from_path
 
 PILOT = 1 << 13
 """Paths of a pilot for each replicate, over all pairs of laser point and pixel, as far as each pair has one at
 least."""
 MOST_OF_A_PAIR = 1 << 12
 """Most paths of a pair in a block."""
-PATHS_AT_ONCE = 1 << 17
-"""Paths that are traced in one call."""
 RAYS = 8.0
 """Rays that a path of one order takes."""
 
@@ -57,6 +54,13 @@ def with_samples(problem: Problem) -> Estimate:
         samplers=dict.fromkeys(problem.components, "paths"),
         rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
     )  # fmt: skip
+
+
+def _most(max_bounces: int | None, order: int) -> int | None:
+    """Most bounces of paths whose highest wanted order is `order`, where 5 stands for all beyond."""
+    if order == 5 or max_bounces is None:
+        return max_bounces if order == 5 else order
+    return min(max_bounces, order)
 
 
 @dataclass
@@ -114,9 +118,9 @@ class Rows:
     """The histograms of each pair: one for each part of the primary, or one for all of it, and one for each other
     component.
 
-    names : component → its rows. of : (orders, K) row of a path by its number of bounces, of which the last stands for
-    all beyond, and by the part of its last hidden vertex; −1 for paths that are not wanted. last : most bounces of
-    paths; None for no limit. direct : whether one and two bounces are wanted.
+    names : component → its rows. of : (orders, K) row of a path of one bounce, of two …, of which the last stands for
+    all beyond, by the part of its last hidden vertex; −1 for paths that are not wanted. last : most bounces of paths;
+    None for no limit. direct : whether one and two bounces are wanted.
     """
 
     names: dict[str, slice]
@@ -133,14 +137,17 @@ class Rows:
             more = parts if name == "primary" and problem.split_parts else 1
             names[name] = slice(count, count + more)
             count += more
-        of, last = np.full((6, parts), -1), 2
+        of, last = np.full((5, parts), -1), 2
         for order in range(1, 6):
             name = component_of(order)
             if name in names:
                 is_split = names[name].stop - names[name].start > 1
-                of[order] = names[name].start + (np.arange(parts) if is_split else 0)
+                of[order - 1] = names[name].start + (np.arange(parts) if is_split else 0)
                 last = order
-        return cls(names, of, problem.accuracy.max_bounces if last == 5 else last, "direct" in names)
+        # One bounce of a beam that states its cells is left to `flood.one_bounce_of_beam`.
+        if problem.capture.laser.cells is not None:
+            of[0] = -1
+        return cls(names, of, _most(problem.accuracy.max_bounces, last), "direct" in names)
 
     @property
     def count(self) -> int:
@@ -152,21 +159,12 @@ class Rows:
 
         stream : numbers that tell this draw from others.
         """
-        axis, n = problem.capture.time, len(pairs)
-        light = np.zeros(self.count * n * (axis.bins + 2))
-        at_once = max(PATHS_AT_ONCE // samples, 1)
-        for start in range(0, n, at_once):
-            seed = int(stream_seeds(problem.seed, LightStream.PATHS, *stream, start)[0])
-            paths = sample_paths(
-                problem.caster, problem.scene, problem.materials, problem.capture, pairs[start : start + at_once],
-                samples, max_bounces=self.last, direct=self.direct, seed=seed,
-            )  # fmt: skip
-            row = self.of[np.minimum(paths.order, 5), paths.part]
-            bins = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
-            column = np.clip(bins, -1, axis.bins).astype(np.int64) + 1
-            place = (row * n + start + paths.pair) * (axis.bins + 2) + column
-            light += np.bincount(place[row >= 0], paths.photons[row >= 0], len(light))
-        return light.reshape(self.count, n, -1)
+        seed = int(stream_seeds(problem.seed, LightStream.PATHS, *stream)[0])
+        light = path_light(
+            problem.caster, problem.scene, problem.materials, problem.capture, pairs, samples, row_of=self.of,
+            rows=self.count, max_bounces=self.last, direct=self.direct, seed=seed,
+        )  # fmt: skip
+        return np.ascontiguousarray(light.swapaxes(0, 1))
 
     def components(self, light: Floats) -> dict[str, Floats]:
         """Component → light (…), from light (rows, …)."""

@@ -15,8 +15,8 @@ transmit nothing, so both directions at a vertex lie on one side of it. A finite
 are uniform on the pixel. Its mean is right in every scene, for every BRDF and number of bounces; its noise is large
 where lobes are narrow. `reference` adds such paths up in time bins.
 
-`sampled_paths.py` draws paths of the same integral where most light is, with far less noise. Tests compare it with
-`plain_paths`, and quadrature, path tracing and the factorised form with `sampled_paths.py`.
+`paths.py` draws paths of the same integral where most light is, with far less noise. Tests compare it with
+`plain_paths`, and quadrature, path tracing and the factorised form with `paths.py`.
 """
 
 from __future__ import annotations
@@ -221,7 +221,7 @@ def reference(
     """The transient (L, P, T) of a capture by its definition, by component and part, with standard errors.
 
     samples : number for each pair of laser point and pixel in each of `replicates` independent runs, whose spread is
-        the standard error. draw : function that draws the paths: `plain_paths`, or `sampled_paths.sample_paths`,
+        the standard error. draw : function that draws the paths: `plain_paths`, or `paths.sample_paths`,
         which has the same arguments and the same mean with far less noise. The other arguments are those of `draw`.
     """
     if caster is None:

@@ -1,6 +1,6 @@
 """Every way of computing light equals the definition (`transport/reference.py`), for every BRDF, shape and scan.
 
-The truth is sampled paths, which `test_sampled_paths.py` compares with the definition itself.
+The truth is sampled paths, which `test_paths.py` compares with the definition itself.
 
 Energies of each component are compared: of each part (primary only), of each histogram, and of
 windows of time. Reference and path tracing are known from `RUNS` independent runs, so a difference is judged by
@@ -23,8 +23,8 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
 from datagen.records import Material, OrenNayar, Retroreflector, SinLobe, Transient
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import reference
-from datagen.transport.sampled_paths import sample_paths
 
 RUNS, LEVEL = 8, 1e-4
 """Level for each case: of 432 nightly cases with three ways each, one in six nights would fail by chance."""

@@ -9,9 +9,9 @@ from rooms import bins_of_path, rectangle, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
 from datagen.transport.error_control import refinement
+from datagen.transport.paths import sample_paths
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.problem import Problem
 
 DEVICE = np.array([3.0, -1.0, 1.2])

@@ -14,8 +14,8 @@ import datagen as dg
 from datagen.errors import InputWarning
 from datagen.records import Role
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.visibility.coincidence import LIFT, set_apart, shared_planes
 from datagen.transport.visibility.raycast import Raycaster
 from tests.rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels

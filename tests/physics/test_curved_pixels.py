@@ -9,8 +9,8 @@ from benchmarks.foreign_scenes import foreign_scene
 from rooms import bins_of_path, square_pixels
 
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import reference
-from datagen.transport.sampled_paths import sample_paths
 
 PIXEL_IN_A_BALL, OBJECT = 2167, "object 1"
 """The foreign scene whose laser point 3 lies in the ball; trials once agreed there in 3 % too little light."""

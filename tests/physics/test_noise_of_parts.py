@@ -11,8 +11,8 @@ import pytest
 import datagen as dg
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import as_scan
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.simulate import transient_of
 from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path

@@ -28,7 +28,7 @@ CELL_PAIR, PAIR_RAY = 2.3, 2.0
 """Cost of a pair of elements that is looked at (then halved, or its light spread over its arrival times), and of the
 shadow ray between two elements."""
 SAMPLE = 20.0
-"""Cost of a path of `sampled_paths.py`, with all its ways of finding one."""
+"""Cost of a path of `paths.py`, with all its ways of finding one."""
 TERM, TERM_EACH = 0.001, 0.03
 """Cost of the factorised form's direct sum: a bin of the arriving light times one path that leaves, and the start of
 each such product."""

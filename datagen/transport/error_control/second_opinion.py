@@ -1,7 +1,7 @@
 """A second opinion on computed light: a few unbiased samples of its energy, by part and time window.
 
 Differences between two cuttings of one method show errors of discretisation and nothing of what both cuttings miss.
-So some pairs of laser point and pixel are drawn at random, and paths of light (`sampled_paths.py`, which uses no
+So some pairs of laser point and pixel are drawn at random, and paths of light (`paths.py`, which uses no
 surface elements) measure how much more or less energy arrives than was computed, by part and in coarse windows of
 time. With chance q to draw a pair, x its sampled energy and m its computed energy,
 
@@ -27,9 +27,9 @@ from scipy.special import ndtri
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.error_control.cost import SAMPLE
+from datagen.transport.paths import sample_paths
 from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.sampling import stream_seeds
 from datagen.units import time_from_path
 

@@ -1,5 +1,5 @@
-"""Sampled paths of light obey laws: spheres, dark scenes, seeds, and the scatter they claim.
-`tests/equivalence/test_sampled_paths.py` shows that they equal the definition."""
+"""Paths of light obey laws: spheres, dark scenes, seeds, and the scatter they claim.
+`tests/equivalence/test_paths.py` shows that they equal the definition."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sphere_chords import QUAD, SPOT, unit_ball
 from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.sampled_paths import sample_paths
 from datagen.transport.visibility.raycast import Raycaster
 
 APERTURE_M2 = np.pi * 0.02**2

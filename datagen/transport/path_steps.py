@@ -1,0 +1,675 @@
+"""The steps of paths of light (`paths.py`) as compiled loops: each makes the rays of a step, or reads what they met.
+
+Between two loops embree finds the first triangle along each ray. A step keeps only the paths that can still carry
+light, so rows get fewer; `sample` and `of` say where a row belongs.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.compiled import compiled
+from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
+from datagen.transport.geometry import cross, subtract, transmittance
+from datagen.transport.path_aim import draw_triangle
+from datagen.transport.sampling import BITS, _owen, mix, word_of
+from datagen.transport.visibility.raycast import lifted_and_scaled
+from datagen.units import SPEED_OF_LIGHT_M_PER_S
+
+BY_AREA = 0.5
+"""Share of the first hidden vertices x₂ that are drawn by area, which meets small and distant parts; the others are
+drawn by the BRDF, which meets near ones. Any share is unbiased."""
+DIMENSIONS = 11
+"""Quasi-random numbers of a sample: two draw the FoV point, three x₂, two the ray back from the FoV point, two x₃,
+two the laser point within the cell of a beam. Later vertices have independent numbers, as quasi-random ones would
+gain little there."""
+SMALLEST = 1e-200
+"""Densities below this count as 0: far below any density with which a path is drawn, and still safe to divide by."""
+
+NO_GOAL, NO_NORMAL = np.int64(-1), (0.0, 0.0, 0.0)
+
+R = TypeVar("R", bound=tuple)  # type: ignore[type-arg]
+
+
+class World(NamedTuple):
+    """What the loops need to know of scene, materials and capture.
+
+    corners : (F, 3, 3), face_normal : (F, 3), part : (F,) of the triangles. kind, values : the `MaterialTable`.
+    lobed : (K,) whether a part's BRDF has a lobe. attenuation : of air, 1/m. offset : by which ends of rays are
+    lifted off their surfaces, m. frame : (4,) embree's centre and half extent, m. sensor : (3,) position.
+    aperture_area, aperture_square : m²; the latter is the square of the radius, or 0 for a small aperture.
+    from_source : whether the legs of the device count for the time axis. planes, solid_angle : of the pixels' cones.
+    footprints : (P, R, C) sensitivities within pixels, or one cell. into : (P, 3, 3) the matrix from a direction to
+    its place in the pixel.
+    """
+
+    corners: Floats
+    face_normal: Floats
+    part: Ints
+    kind: Ints | NDArray[np.uint8]
+    values: Floats
+    lobed: Bools
+    attenuation: float
+    offset: float
+    frame: Floats
+    sensor: Floats
+    aperture_area: float
+    aperture_square: float
+    from_source: bool
+    planes: Floats
+    solid_angle: Floats
+    footprints: Floats
+    into: Floats
+
+
+class Vertices(NamedTuple):
+    """The last vertices of n paths so far, at most one for each sample.
+
+    sample, face : (n,) index of the sample, of the triangle. position, normal, back : (n, 3) metres; unit normal on
+    the side that the path came from; unit direction to the vertex before. power : (n,) photons that arrive, over the
+    density of drawing the path. density : (n,) 1/m², with which the way from the laser draws the vertex. path : (n,)
+    length so far, m.
+
+    Of FoV points `back` leads to the sensor, `path` is the distance to it, and `power` is what the point stands for:
+    A dΩ, m² sr, with the transmittance of the air to the sensor and the pixel's sensitivity.
+    """
+
+    sample: Ints
+    face: Ints
+    position: Floats
+    normal: Floats
+    back: Floats
+    power: Floats
+    density: Floats
+    path: Floats
+
+
+class Vertex(NamedTuple):
+    """One vertex: a row of `Vertices`, with the triangle's part and the kind of its BRDF.
+
+    Functions that branch get vertices and numbers, as numba counts references to each array that a call passes.
+    """
+
+    face: int
+    part: int
+    kind: int
+    position: Vector
+    normal: Vector
+    back: Vector
+    power: float
+    density: float
+    path: float
+
+
+class Rays(NamedTuple):
+    """n rays in embree's frame, in single precision.
+
+    of : (n,) row of the vertex that a ray leaves. goal : (n,) triangle that a ray is aimed at, −1 for none; place :
+    (n, 3) the point there, m, set only for rays with a goal. origin, direction : (n, 3); a shadow ray ends where its
+    direction ends.
+    """
+
+    of: Ints
+    goal: Ints
+    place: Floats
+    origin: NDArray[np.float32]
+    direction: NDArray[np.float32]
+
+
+class Found(NamedTuple):
+    """n paths of one order: index of the sample, of the part as in `reference.Paths`, length in m, and photons."""
+
+    sample: Ints
+    part: Ints
+    path: Floats
+    photons: Floats
+
+
+def room(record: type[R], n: int) -> R:
+    """A record of n rows to be filled."""
+    kinds = {"sample": np.int64, "face": np.int64, "of": np.int64, "goal": np.int64, "part": np.int64,
+             "origin": np.float32, "direction": np.float32}  # fmt: skip
+    vectors = ("position", "normal", "back", "place", "origin", "direction")
+    return record(*(
+        np.empty((n, 3) if name in vectors else n, kinds.get(name, np.float64))
+        for name in record._fields  # type: ignore[attr-defined]
+    ))  # fmt: skip
+
+
+def head(record: R, n: int) -> R:
+    """The first n rows of a record of arrays."""
+    return type(record)(*(values[:n] for values in record))
+
+
+def some(record: R, which: Bools) -> R:
+    """The rows of a record of arrays for which `which` (n,) is true."""
+    rows = np.flatnonzero(which)
+    return type(record)(*(values.take(rows, axis=0) for values in record))
+
+
+@compiled()
+def draw_numbers(words, seeds, number, out):  # type: ignore[no-untyped-def]
+    """Write scrambled Sobol' numbers (n, d) of samples: `number` (n,) is a sample's place in the sequence of its
+    pair, whose scrambling is that of `seeds` (n,). words : direction numbers of Sobol' sequences."""
+    for d in range(out.shape[1]):
+        x, seed, before = np.uint64(0), np.uint64(0), -2
+        for i in range(len(out)):
+            k = number[i]
+            if i == 0 or seeds[i] != seeds[i - 1]:
+                seed = mix(seeds[i], np.uint64(d + 1))
+            # In Gray-code order the next point differs by one direction number. Only the first sample of a batch or a
+            # pair needs all that its own code has.
+            if k == before + 1:
+                bit = 0
+                while (before >> bit) & 1:
+                    bit += 1
+                x ^= words[d, bit]
+            else:
+                x, code, bit = np.uint64(0), k ^ (k >> 1), 0
+                while code >> bit:
+                    if (code >> bit) & 1:
+                        x ^= words[d, bit]
+                    bit += 1
+            before = k
+            out[i, d] = (np.float64(_owen(x, seed)) + 0.5) * 2.0**-BITS
+
+
+@compiled()
+def _independent(seed, sample, which):  # type: ignore[no-untyped-def]
+    """The pseudo-random number of a sample with the number `which`, in 0 … 1."""
+    return (np.float64(word_of(seed, sample, which)) + 0.5) * 2.0**-BITS
+
+
+@compiled()
+def later_numbers(seeds, number, order):  # type: ignore[no-untyped-def]
+    """(n,) numbers for the Russian roulette of samples."""
+    out = np.empty(len(number))
+    for i in range(len(out)):
+        out[i] = _independent(seeds[i], number[i], 3 * order)
+    return out
+
+
+@compiled()
+def _vector(rows, i):  # type: ignore[no-untyped-def]
+    """Row i of an array (n, 3) as a vector."""
+    return (rows[i, 0], rows[i, 1], rows[i, 2])
+
+
+@compiled()
+def _triple(row):  # type: ignore[no-untyped-def]
+    """A row of three numbers as a vector."""
+    return (row[0], row[1], row[2])
+
+
+@compiled()
+def _write(rows, i, v):  # type: ignore[no-untyped-def]
+    """Write the vector v to row i of an array (n, 3)."""
+    rows[i, 0], rows[i, 1], rows[i, 2] = v[0], v[1], v[2]
+
+
+@compiled()
+def _minus(a):  # type: ignore[no-untyped-def]
+    """The vector −a."""
+    return (-a[0], -a[1], -a[2])
+
+
+@compiled()
+def _along(a, s, w):  # type: ignore[no-untyped-def]
+    """The point a + s w."""
+    return (a[0] + s * w[0], a[1] + s * w[1], a[2] + s * w[2])
+
+
+@compiled()
+def _toward(a, b):  # type: ignore[no-untyped-def]
+    """The unit vector from point a to point b, and their distance; the vector is 0 for a distance of 0."""
+    span = subtract(b, a)
+    r = math.sqrt(dot(span, span))
+    s = 1.0 / max(r, 1e-300)
+    return (s * span[0], s * span[1], s * span[2]), r
+
+
+@compiled()
+def _vertex(world, face, position, normal, back, power, density, path):  # type: ignore[no-untyped-def]
+    part = world.part[face]
+    return Vertex(face, part, world.kind[part], position, normal, back, power, density, path)
+
+
+@compiled()
+def _row(world, x, i):  # type: ignore[no-untyped-def]
+    """Row i of vertices x."""
+    position, normal, back = _vector(x.position, i), _vector(x.normal, i), _vector(x.back, i)
+    return _vertex(world, x.face[i], position, normal, back, x.power[i], x.density[i], x.path[i])
+
+
+@compiled()
+def _write_vertex(x, k, sample, a):  # type: ignore[no-untyped-def]
+    """Write vertex a of a sample to row k of vertices x."""
+    x.sample[k], x.face[k], x.power[k], x.density[k], x.path[k] = sample, a.face, a.power, a.density, a.path
+    _write(x.position, k, a.position)
+    _write(x.normal, k, a.normal)
+    _write(x.back, k, a.back)
+
+
+@compiled()
+def _write_path(found, k, sample, part, path, photons):  # type: ignore[no-untyped-def]
+    """Write a path to row k."""
+    found.sample[k], found.part[k], found.path[k], found.photons[k] = sample, part, path, photons
+
+
+@compiled()
+def _write_ray(world, rays, k, of, goal, p, n, direction):  # type: ignore[no-untyped-def]
+    """Write a ray that leaves the point p of a surface with normal n to row k."""
+    rays.of[k], rays.goal[k] = of, goal
+    _write(rays.origin, k, lifted_and_scaled(p, n, world.offset, world.frame))
+    _write(rays.direction, k, direction)
+
+
+@compiled()
+def _write_shadow_ray(world, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
+    """Write a ray between points p and q of surfaces with normals n and m to row k."""
+    # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
+    a, b = lifted_and_scaled(p, n, world.offset, world.frame), lifted_and_scaled(q, m, world.offset, world.frame)
+    _write(rays.origin, k, a)
+    _write(rays.direction, k, subtract(b, a))
+
+
+@compiled()
+def _scattered(values, a, w_in, w_out):  # type: ignore[no-untyped-def]
+    """BRDF at vertex a, and the density with which `sample` draws `w_out` for `w_in`; both 1/sr."""
+    # Both at once, as every weight needs both.
+    row = values[a.part]
+    return evaluate(a.kind, row, a.normal, w_in, w_out), pdf(a.kind, row, a.normal, w_in, w_out)
+
+
+@compiled()
+def _drawn(world, a, u, v):  # type: ignore[no-untyped-def]
+    """A unit direction drawn by the BRDF at vertex a."""
+    return sample(a.kind, world.values[a.part], a.normal, a.back, u, v)
+
+
+@compiled()
+def _meeting(corner, n, origin, direction):  # type: ignore[no-untyped-def]
+    """`_met` for a triangle with a corner and a normal."""
+    approach = dot(n, direction)
+    # Edge-on the plane gives no distance.
+    reach = dot(n, subtract(corner, origin)) / approach if approach != 0.0 else -1.0
+    if approach > 0.0:
+        n = _minus(n)
+    return _along(origin, reach, direction), n, 0.0 < reach < np.inf
+
+
+@compiled()
+def _met(world, face, origin, direction):  # type: ignore[no-untyped-def]
+    """Where a ray meets the plane of a triangle; its normal, turned against the ray; whether the ray meets it.
+
+    Only the triangle is embree's answer: the point is computed in double precision.
+    """
+    c, o, d = (world.corners[face, 0, 0], world.corners[face, 0, 1], world.corners[face, 0, 2]), origin, direction
+    # The same types at every call, as each further one would be compiled apart.
+    return _meeting(
+        c, _vector(world.face_normal, face), o, (np.float64(d[0]), np.float64(d[1]), np.float64(d[2]))
+    )  # fmt: skip
+
+
+@compiled()
+def _aperture(world, r):  # type: ignore[no-untyped-def]
+    """Area of the aperture seen from a distance, m²: of a small one, or of a finite disc."""
+    return world.aperture_area * r * r / (r * r + world.aperture_square)
+
+
+@compiled()
+def _sensitivity(footprints, pixel, u, v):  # type: ignore[no-untyped-def]
+    """Sensitivity of a pixel at the place (u, v) of its quadrilateral."""
+    rows, columns = footprints.shape[1], footprints.shape[2]
+    row, column = min(max(int(v * rows), 0), rows - 1), min(max(int(u * columns), 0), columns - 1)
+    return footprints[pixel, row, column]
+
+
+@compiled()
+def _seen_within(planes, footprints, into, pixel, w):  # type: ignore[no-untyped-def]
+    """Sensitivity of a pixel in the direction w from the sensor; 0 outside of it."""
+    for k in range(4):
+        if planes[pixel, k, 0] * w[0] + planes[pixel, k, 1] * w[1] + planes[pixel, k, 2] * w[2] < 0.0:
+            return 0.0
+    if footprints.shape[1] * footprints.shape[2] == 1:
+        return footprints[pixel, 0, 0]
+    m = into[pixel]
+    over = dot(_triple(m[2]), w)
+    return _sensitivity(footprints, pixel, dot(_triple(m[0]), w) / over, dot(_triple(m[1]), w) / over)
+
+
+@compiled()
+def begun(world, points, number, x):  # type: ignore[no-untyped-def]
+    """Fill x with the laser points of samples, those of `points` by number (n,), −1 for a sample without one; returns
+    how many."""
+    count = 0
+    for s in range(len(number)):
+        if number[s] >= 0:
+            _write_vertex(x, count, s, _row(world, points, number[s]))
+            count += 1
+    return count
+
+
+@compiled()
+def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore[no-untyped-def]
+    """Fill rays with lines of sight through pixels (n,), and `solid` (n,) with what each stands for: dΩ/(du dv) times
+    the sensitivity.
+
+    corners : (P, 4, 3) of the pixels, relative to the sensor. A point uniform on the pixel's quadrilateral q(u, v),
+    as seen from the sensor, stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
+    """
+    footprints, sensor = world.footprints, _triple(world.sensor)
+    for s in range(len(pixel)):
+        u, v, of = numbers[s, 0], numbers[s, 1], corners[pixel[s]]
+        a, b, c, d = _triple(of[0]), _triple(of[1]), _triple(of[2]), _triple(of[3])
+        lower, upper = _along(a, u, subtract(b, a)), _along(d, u, subtract(c, d))
+        along_u, along_v = _along(subtract(b, a), v, subtract(subtract(c, d), subtract(b, a))), subtract(upper, lower)
+        q = _along(lower, v, along_v)
+        solid[s] = abs(dot(q, cross(along_u, along_v))) / (dot(q, q) * math.sqrt(dot(q, q)))
+        solid[s] *= _sensitivity(footprints, pixel[s], u, v)
+        _write_ray(world, rays, s, s, NO_GOAL, sensor, NO_NORMAL, q)
+
+
+@compiled()
+def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
+    """Fill v with the FoV points where lines of sight landed, a row for each; `power` is 0 where there is none."""
+    sensor = _triple(world.sensor)
+    for s in range(len(faces)):
+        v.sample[s], v.power[s] = s, 0.0
+        face = np.int64(faces[s])
+        if face >= 0:
+            # The direction as embree knows it, in single precision, is the one whose triangle was found.
+            position, normal, meets = _met(world, face, sensor, _vector(rays.direction, s))
+            if meets:
+                back, leg = _toward(position, sensor)
+                gain = solid[s] * _aperture(world, leg) * transmittance(world.attenuation, leg)
+                _write_vertex(v, s, s, _vertex(world, face, position, normal, back, gain, 0.0, leg))
+
+
+@compiled()
+def rays_back(world, v, numbers, rays):  # type: ignore[no-untyped-def]
+    """Fill rays with those from FoV points, drawn by their BRDFs against the direction of light; returns how many."""
+    count = 0
+    for s in range(len(v.power)):
+        if v.power[s] > 0.0:
+            a = _row(world, v, s)
+            w = _drawn(world, a, numbers[s, 5], numbers[s, 6])
+            # A lobe may reach below the surface, where the BRDF is 0.
+            if dot(a.normal, w) > 0.0:
+                _write_ray(world, rays, count, s, NO_GOAL, a.position, a.normal, w)
+                count += 1
+    return count
+
+
+@compiled()
+def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
+    """Fill h with the vertices that FoV points v see along rays, a row for each sample; `face` is −1 for none."""
+    for s in range(len(v.power)):
+        h.face[s] = -1
+    for k in range(len(faces)):
+        face = np.int64(faces[k])
+        if face >= 0:
+            s = rays.of[k]
+            position, normal, meets = _met(world, face, _vector(v.position, s), _vector(rays.direction, k))
+            if meets:
+                h.face[s] = face
+                _write(h.position, s, position)
+                _write(h.normal, s, normal)
+
+
+@compiled()
+def _place_on(corners, face, u, v):  # type: ignore[no-untyped-def]
+    """A point uniform on a triangle."""
+    of, root = corners[face], math.sqrt(u)
+    a = _triple(of[0])
+    return _along(_along(a, root * (1.0 - v), subtract(_triple(of[1]), a)), root * v, subtract(_triple(of[2]), a))
+
+
+@compiled()
+def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untyped-def]
+    """Fill rays with those from laser points b to first hidden vertices, drawn by area or by the BRDF; returns how
+    many. row : (n,) of each sample's pair in `aim`."""
+    count = 0
+    for i in range(len(b.sample)):
+        s, a = b.sample[i], _row(world, b, i)
+        choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
+        if choice < BY_AREA:
+            # One number chooses way and triangle, so that its even spread serves both.
+            goal = draw_triangle(aim, row[s], choice / BY_AREA)
+            place = _place_on(world.corners, goal, u, v)
+            w = subtract(place, _along(a.position, world.offset, a.normal))
+            _write(rays.place, count, place)
+        else:
+            w = _drawn(world, a, u, v)
+        if dot(a.normal, w) > 0.0:
+            _write_ray(world, rays, count, i, goal, a.position, a.normal, w)
+            count += 1
+    return count
+
+
+@compiled()
+def rays_onward(world, x, numbers, seeds, number, order, rays):  # type: ignore[no-untyped-def]
+    """Fill rays with those from vertices x, the last before the FoV point of paths of `order` bounces, drawn by their
+    BRDFs; returns how many."""
+    count = 0
+    for i in range(len(x.sample)):
+        s, a = x.sample[i], _row(world, x, i)
+        if order == 3:
+            u, v = numbers[s, 7], numbers[s, 8]
+        else:
+            u = _independent(seeds[s], number[s], 3 * order + 1)
+            v = _independent(seeds[s], number[s], 3 * order + 2)
+        w = _drawn(world, a, u, v)
+        if dot(a.normal, w) > 0.0:
+            _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
+            count += 1
+    return count
+
+
+@compiled()
+def toward(world, b, h, rays):  # type: ignore[no-untyped-def]
+    """Fill rays with those from vertices b to the vertices h that FoV points see; returns how many."""
+    count = 0
+    for i in range(len(b.sample)):
+        s, p, n = b.sample[i], _vector(b.position, i), _vector(b.normal, i)
+        if h.face[s] >= 0:
+            place = _vector(h.position, s)
+            w = subtract(place, _along(p, world.offset, n))
+            # Between sides that face away from each other no light passes: the ray is saved.
+            if dot(n, w) > 0.0 and dot(_vector(h.normal, s), w) < 0.0:
+                _write(rays.place, count, place)
+                _write_ray(world, rays, count, i, h.face[s], p, n, w)
+                count += 1
+    return count
+
+
+@compiled()
+def _by_area(aim, part, row, face):  # type: ignore[no-untyped-def]
+    """Density, 1/m², with which the pair of a row draws points on a triangle by area."""
+    k = part[face]
+    return aim.density[aim.begin[k] + row * aim.stride[k] + aim.rank[face]]
+
+
+@compiled()
+def _by_light(by_brdf, by_area, second):  # type: ignore[no-untyped-def]
+    """Density, 1/m², with which the way from the laser draws a vertex; only x₂ is drawn by area, too."""
+    return (1.0 - BY_AREA) * by_brdf + BY_AREA * by_area if second else by_brdf
+
+
+@compiled()
+def _lit(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped-def]
+    """f_b cosθ_b cosθ_x / R² at the end of a leg from vertex b along w, where the normal is n, and the density with
+    which the way from the laser draws that end."""
+    cos_b, cos_x = dot(b.normal, w), -dot(n, w)
+    if cos_b <= 0.0 or cos_x <= 0.0:
+        return 0.0, 0.0
+    f, by_brdf = _scattered(values, b, b.back, w)
+    return f * cos_b * cos_x / (r * r), _by_light(by_brdf * cos_x / (r * r), by_area, second)
+
+
+@compiled()
+def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+    """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
+    the row of the b of each; returns how many.
+
+    second : whether these are vertices x₂. returning : whether rays are aimed at vertices that FoV points see.
+    """
+    count, values, part = 0, world.values, world.part
+    for k in range(len(faces)):
+        i, face, goal = rays.of[k], np.int64(faces[k]), rays.goal[k]
+        # A place drawn by area counts only if its own triangle is met first, so that of two triangles that coincide
+        # one counts, the same as for rays.
+        if face < 0 or (goal >= 0 and face != goal and not returning):
+            continue
+        a, s = _row(world, b, i), b.sample[i]
+        # Where a ray goes is computed from the vertex itself, not from above it, where embree began: so hits have the
+        # density of rays from there, even at the foot of a wall that is nearer than rays are lifted.
+        start, direction, place = a.position, _vector(rays.direction, k), a.position
+        if goal >= 0:
+            place, start = _vector(rays.place, k), _along(a.position, world.offset, a.normal)
+            direction = subtract(place, start)
+        y, n, meets = _met(world, face, start, direction)
+        if goal >= 0:
+            # A path counts if the ray meets this place first: all ways must draw the same paths.
+            off = subtract(y, place)
+            meets = meets and max(abs(off[0]), abs(off[1]), abs(off[2])) < world.offset
+        if not meets:
+            continue
+        w, r = _toward(a.position, y)
+        light, density = _lit(values, a, w, r, n, _by_area(aim, part, row[s], face) if second else 0.0, second)
+        power = a.power * light * transmittance(world.attenuation, r)
+        if density > SMALLEST and power > 0.0:
+            end = _vertex(world, face, y, n, _minus(w), power / density, density, a.path + r)
+            _write_vertex(x, count, s, end)
+            of[count] = i
+            count += 1
+    return count
+
+
+@compiled()
+def _photons(values, x, v, solid_angle, by_area, order, judged, lobed):  # type: ignore[no-untyped-def]
+    """Photons of the path of `order` bounces by way of vertex x and FoV point v in clear air, and the length of the
+    leg between them, m.
+
+    The photons are the integrand over the sum of the densities of all three ways. With p the density by light, and
+    with 1/Ω for v drawn from the pixel, per solid angle at the sensor, these densities are
+
+        join: p/Ω     back: pdf_v cosθ_x/R² /Ω     land: p · pdf_x cosθ_v/R² · R_s²/cosθ_s
+
+    by_area : density with which v is drawn by area after the laser point. judged : whether visibility counts; else
+    paths are only joined, without asking what stands between. lobed : whether the BRDF at x has a lobe.
+    """
+    w, r = _toward(x.position, v.position)
+    cos_x, cos_v, square = dot(x.normal, w), -dot(v.normal, w), r * r
+    if cos_x <= 0.0 or cos_v <= 0.0:
+        return 0.0, r
+    f_x, onto_v = _scattered(values, x, x.back, w)
+    f_v, onto_x = _scattered(values, v, v.back, _minus(w))
+    ways, cos_s = 1.0, dot(v.normal, v.back)
+    if judged and order > 2 and x.density > SMALLEST:
+        ways += onto_x * cos_x / (square * x.density)
+    if judged and (order == 2 or lobed) and cos_s > SMALLEST:
+        ways += _by_light(onto_v * cos_v / square, by_area, order == 2) * solid_angle * v.path * v.path / cos_s
+    return x.power * v.power * f_x * f_v * cos_x * cos_v / (square * ways), r
+
+
+@compiled()
+def joined(world, aim, row, x, v, pixel, order, judged, found, rays):  # type: ignore[no-untyped-def]
+    """Fill `found` with paths of `order` bounces from vertices x to the FoV points v of their samples, and rays with
+    a shadow ray for each; returns how many.
+
+    row, pixel : (n,) of each sample, its pair's row in `aim` and its pixel.
+    """
+    count, values, part = 0, world.values, world.part
+    for i in range(len(x.sample)):
+        s = x.sample[i]
+        if v.power[s] > 0.0:
+            a, c = _row(world, x, i), _row(world, v, s)
+            by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
+            photons, r = _photons(
+                values, a, c, world.solid_angle[pixel[s]], by_area, order, judged, world.lobed[a.part]
+            )
+            if photons > 0.0:
+                path = a.path + r + c.path * world.from_source
+                photons *= transmittance(world.attenuation, r)
+                _write_path(found, count, s, a.part if order > 2 else c.part, path, photons)
+                _write_shadow_ray(world, rays, count, a.position, a.normal, c.position, c.normal)
+                count += 1
+    return count
+
+
+@compiled()
+def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignore[no-untyped-def]
+    """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
+    `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
+
+    After two bounces only vertices x with a lobe land, as for others this way finds next to nothing.
+    """
+    count, values, part = 0, world.values, world.part
+    planes, footprints, into = world.planes, world.footprints, world.into
+    sensor = _triple(world.sensor)
+    for k in range(len(of)):
+        s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
+        back, leg = _toward(c.position, sensor)
+        # The quick tests come first: few vertices lie in the pixel.
+        if dot(c.normal, back) <= 0.0 or (order > 2 and not world.lobed[a.part]):
+            continue
+        seen = _seen_within(planes, footprints, into, pixel[s], _minus(back))
+        if seen > 0.0:
+            # As a FoV point the vertex stands for the pixel's whole solid angle.
+            solid = world.solid_angle[pixel[s]]
+            gain = seen * _aperture(world, leg) * solid * transmittance(world.attenuation, leg)
+            end = _vertex(world, c.face, c.position, c.normal, back, gain, 0.0, leg)
+            by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
+            # Visibility always counts here; a literal `True` would be compiled apart.
+            photons, r = _photons(values, a, end, solid, by_area, order, order > 1, world.lobed[a.part])
+            if photons > 0.0:
+                path = a.path + r + leg * world.from_source
+                photons *= transmittance(world.attenuation, r)
+                _write_path(found, count, s, a.part if order > 2 else c.part, path, photons)
+                _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, c.position, c.normal)
+                count += 1
+    return count
+
+
+@compiled()
+def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
+    """Fill `found` with paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them;
+    and rays with a shadow ray from the sensor for each; returns how many."""
+    count, values = 0, world.values
+    planes, footprints, into = world.planes, world.footprints, world.into
+    sensor = _triple(world.sensor)
+    for i in range(len(x.sample)):
+        s, a = x.sample[i], _row(world, x, i)
+        w, leg = _toward(a.position, sensor)
+        cosine = dot(a.normal, w)
+        seen = _seen_within(planes, footprints, into, pixel[s], _minus(w)) if cosine > 0.0 else 0.0
+        if seen > 0.0:
+            f, _ = _scattered(values, a, a.back, w)
+            photons = a.power * f * cosine * seen * transmittance(world.attenuation, leg)
+            photons *= _aperture(world, leg) / (leg * leg)
+            _write_path(found, count, s, a.part, a.path + leg * world.from_source, photons)
+            _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, a.position, a.normal)
+            count += 1
+    return count
+
+
+@compiled()
+def add(found, order, first, samples, row_of, start_s, width_s, light):  # type: ignore[no-untyped-def]
+    """Add paths to the histograms `light` (n, rows, T + 2), as `path_light` describes them.
+
+    first : the number of the batch's first sample, counted over all pairs.
+    """
+    bins, row = light.shape[2] - 2, row_of[min(order, len(row_of)) - 1]
+    for k in range(len(found.sample)):
+        to = row[found.part[k]]
+        if to >= 0:
+            # A bin is the integral of the flux between its edges: each path goes whole into one.
+            place = math.floor((found.path[k] / SPEED_OF_LIGHT_M_PER_S - start_s) / width_s)
+            column = int(min(max(place, -1.0), bins)) + 1
+            light[(first + found.sample[k]) // samples, to, column] += found.photons[k]

@@ -1,0 +1,312 @@
+"""Unbiased paths of light, drawn where most light is: the plain sampler, and the check of every faster one.
+
+The paths estimate the integral of `reference.py`, equation (1) there: the mean is the same in every scene, and the
+noise is far smaller. Nothing is shared with the faster ways but the ray caster and the BRDFs.
+
+The last two vertices of a path, h = x_{B−1} and v = x_B, are drawn in three ways, given b = x_{B−2}:
+
+- *join*: h from b, by the BRDF at b or, for x₂, also uniformly on the parts' areas; v from the pixel;
+- *back*: v from the pixel, h from v by the BRDF at v. This way finds surfaces right beside the field of view;
+- *land*: h from b, v from h by the BRDF at h, if v falls inside the pixel. This way is for BRDFs with a lobe.
+
+A path counts with the integrand over the sum of the densities of all three ways, whichever of them found it (the
+balance heuristic: Veach & Guibas, SIGGRAPH 1995). So together they count every path once.
+
+`path_light` adds the light up in time bins; `sample_paths` returns the paths one by one:
+
+    materials, caster = MaterialTable.of(scene.materials), Raycaster(scene)
+    paths = sample_paths(caster, scene, materials, capture, pairs_of(capture), samples=64, max_bounces=4)
+    energy_by_part = np.bincount(paths.part, paths.photons)
+    transient = reference(scene, capture, samples=4096, max_bounces=4, draw=sample_paths)
+
+Samples are followed in batches. Compiled loops (`path_steps.py`) make the rays of one step for a whole batch, embree
+finds what they meet, and the next loop goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.records import Capture, Scene
+from datagen.records.arrays import Floats, Ints
+from datagen.seeding import LightStream
+from datagen.transport import path_steps as steps
+from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable
+from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
+from datagen.transport.path_steps import Found, Rays, Vertices, World, head, room, some
+from datagen.transport.reference import Paths, dots
+from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, direction_numbers, stream_seeds
+from datagen.transport.visibility.raycast import Raycaster
+
+AT_ONCE = 1 << 14
+"""Samples in a batch. More take more memory (1 KB each); fewer spend more time between the compiled loops."""
+
+
+class _Room:
+    """Arrays for the steps of a batch, used again and again: fresh memory would cost a third of the time."""
+
+    def __init__(self, samples: int) -> None:
+        self.numbers = np.empty((samples, steps.DIMENSIONS))
+        self.rays, self.found, self.of = room(Rays, samples), room(Found, samples), np.empty(samples, np.int64)
+        self.fov, self.beside, self.back = (room(Vertices, samples) for _ in range(3))
+        # A path's last vertex, the one before, and the next one.
+        self.turn = [room(Vertices, samples) for _ in range(3)]
+
+
+class _Batch:
+    """Samples `first` … `last` − 1 of some pairs, counted pair by pair, and the steps of their paths.
+
+    What a step returns holds until the same step is taken again.
+    """
+
+    def __init__(self, tracer: _Tracer, first: int, last: int) -> None:
+        self.tracer, self.world, self.caster, self.room = tracer, tracer.world, tracer.caster, tracer.room
+        self.size = last - first
+        pair, number = np.divmod(np.arange(first, last), tracer.samples)
+        self.number, self.later = number + tracer.first_sample, tracer.later[pair]
+        self.laser, self.pixel = tracer.pairs[pair].T.copy()
+        self.numbers = self.room.numbers[: self.size]
+        steps.draw_numbers(tracer.words, tracer.seeds[pair], self.number, self.numbers)
+        self.row, self.aim = pair - pair[0], tracer.aimed(tracer.pairs[pair[0] : pair[-1] + 1])
+
+    def met(self, rays: Rays) -> NDArray[np.int32]:
+        """The first triangle (n,) along each ray, −1 for none."""
+        return self.caster.closest_scaled(rays.origin, rays.direction)
+
+    def unhidden(self, count: int) -> Found:
+        """The first `count` paths, without those whose shadow ray meets something."""
+        rays = head(self.room.rays, count)
+        return some(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
+
+    def laser_points(self) -> Vertices:
+        """The laser points x₁ of the samples whose laser ray meets a surface."""
+        laser, points, number = self.tracer.capture.laser, self.tracer.lasers, self.tracer.laser_row[self.laser]
+        if laser.cells is not None:
+            # Where a beam states its cells, a laser point is anywhere in its own.
+            a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
+            u, v = self.numbers[:, 9:10], self.numbers[:, 10:11]
+            points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
+        return head(self.room.turn[2], steps.begun(self.world, points, number, self.room.turn[2]))
+
+    def beside(self, v: Vertices) -> Vertices:
+        """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
+        light; its triangle is −1 for none."""
+        rays = head(self.room.rays, steps.rays_back(self.world, v, self.numbers, self.room.rays))
+        steps.seen_from(self.world, v, rays, self.met(rays), self.room.beside)
+        return self.room.beside
+
+    def arrived(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
+        """The vertices that vertices b, the last before the FoV point of paths of `order`, light along the first
+        `count` rays, and the row of the b of each."""
+        rays, x = head(self.room.rays, count), self.room.back if returning else self.room.turn[(order + 1) % 3]
+        faces, of = self.met(rays), self.room.of
+        count = steps.arrived(self.world, self.aim, self.row, b, rays, faces, order == 2, returning, x, of)
+        return head(x, count), of[:count]
+
+    def join(self, x: Vertices, v: Vertices, order: int, judged: bool, shadows: bool) -> Found:
+        """Paths of `order` bounces from vertices x to the FoV points drawn from the pixel.
+
+        judged : whether visibility counts. shadows : whether to ask what hides the FoV points.
+        """
+        found, rays = self.room.found, self.room.rays
+        count = steps.joined(self.world, self.aim, self.row, x, v, self.pixel, order, judged, found, rays)
+        return self.unhidden(count) if shadows else head(found, count)
+
+    def back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
+        """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
+        count = steps.toward(self.world, b, h, self.room.rays)
+        return self.join(self.arrived(b, count, order - 1, True)[0], v, order, True, False)
+
+    def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
+        """The next vertices that the vertices x of `order` light, and the row of the x of each."""
+        if order == 2:
+            count = steps.rays_to_second(self.world, self.aim, self.row, x, self.numbers, self.room.rays)
+        else:
+            count = steps.rays_onward(self.world, x, self.numbers, self.later, self.number, order, self.room.rays)
+        return self.arrived(x, count, order, False)
+
+    def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
+        """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
+        found, rays = self.room.found, self.room.rays
+        return self.unhidden(steps.landed(self.world, self.aim, self.row, x, y, of, self.pixel, order, found, rays))
+
+    def one_bounce(self, x: Vertices) -> Found:
+        """Paths of one bounce: the laser points x themselves where the pixel sees them."""
+        return self.unhidden(steps.one_bounce(self.world, x, self.pixel, self.room.found, self.room.rays))
+
+    def survivors(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Vertices:
+        """Russian roulette: some of the vertices y, with more power, so that paths end."""
+        stays = np.clip(y.power / x.power[of], *SURVIVAL)
+        drawn = steps.later_numbers(self.later[y.sample], self.number[y.sample], order)
+        return some(y._replace(power=y.power / stays), drawn < stays)
+
+    def paths(self, max_bounces: int | None, direct: bool, occlusion: bool) -> Iterator[tuple[int, Found]]:
+        """All paths of the batch, by order and way."""
+        x, v = self.laser_points(), self.tracer.fov_points(self.pixel, self.numbers)
+        if direct:
+            yield 1, self.one_bounce(x)
+        h = self.beside(v) if occlusion and max_bounces not in (1, 2) else None
+        order, b = 2, x
+        # x is the vertex before the FoV point of paths of `order`, and b the one before that.
+        while max_bounces != 1 and len(x.sample):
+            # With two bounces visibility always counts.
+            joins, judged = order > 2 or direct, occlusion or order == 2
+            if joins:
+                yield order, self.join(x, v, order, judged, judged)
+            if order > 2 and h is not None:
+                yield order, self.back(b, h, v, order)
+            if order == max_bounces:
+                x = some(x, (self.world.lobed[self.world.part[x.face]] | (order == 2)) & joins & judged)
+            y, of = self.onward(x, order)
+            if joins and judged:
+                yield order, self.land(x, y, of, order)
+            if order == max_bounces:
+                return
+            if max_bounces is None and order >= ROULETTE_FROM:
+                y = self.survivors(x, y, of, order)
+            b, x, order = x, y, order + 1
+
+
+class _Tracer:
+    """What all samples of some pairs of laser point and pixel share."""
+
+    def __init__(
+        self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
+        seed: int, first_sample: int,
+    ) -> None:  # fmt: skip
+        self.caster, self.capture, self.samples, self.first_sample = caster, capture, samples, first_sample
+        self.pairs, self.words = np.asarray(pairs, np.int64).reshape(-1, 2), direction_numbers()
+        # A scrambling for each pair, so that the errors of pairs are independent.
+        rows = np.arange(len(self.pairs))
+        self.seeds = stream_seeds(seed, LightStream.SAMPLED_PATHS, rows)
+        self.later = stream_seeds(seed, LightStream.LATER_PATHS, rows)
+        self.corners = capture.sensor.pixels - capture.sensor.position
+        self.world = self.world_of(scene, materials)
+        self.lasers, self.laser_row = self.points_toward(capture.laser.targets)
+        planes = np.column_stack([self.lasers.position, self.lasers.normal])
+        self.room = _Room(min(len(self.pairs) * samples, AT_ONCE))
+        # No more guesses than a batch of samples pays for.
+        self.even_aim = aim_of(caster, scene, planes, GUESSES_PER_SAMPLE * min(samples, AT_ONCE))
+        middle = caster.corners.mean(axis=1, keepdims=True)
+        self.radius = np.linalg.norm(caster.corners - middle, axis=2).max(axis=1)
+
+    def aimed(self, pairs: Ints) -> Aim:
+        """How pairs (n, 2) draw points by area."""
+        laser, pixel = pairs.T.copy()
+        v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
+        x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
+        x = x._replace(power=x.power * (number >= 0))
+        size = 0.5 * np.sqrt(self.world.solid_angle[pixel]) * v.path
+        return aimed_at(self.even_aim, self.world, x, v, size, self.caster.face_area_m2, self.radius)
+
+    def fov_points(self, pixel: Ints, numbers: Floats) -> Vertices:
+        """FoV points of pixels (n,) at places in the pixel that two numbers (n, 2) give, a row for each; `power` is 0
+        where a line of sight meets nothing."""
+        rays, v, solid = head(self.room.rays, len(pixel)), head(self.room.fov, len(pixel)), np.empty(len(pixel))
+        steps.lines_of_sight(self.world, self.corners, pixel, numbers, rays, solid)
+        faces = self.caster.closest_scaled(rays.origin, rays.direction)
+        steps.seen(self.world, rays, faces, solid, v)
+        return v
+
+    def world_of(self, scene: Scene, materials: MaterialTable) -> World:
+        """What the compiled loops need to know, but for the density of points by area."""
+        caster, sensor = self.caster, self.capture.sensor
+        cones, pixels = PixelCones.of(sensor), len(sensor.pixels)
+        footprints, into = np.ones((pixels, 1, 1)), np.zeros((pixels, 3, 3))
+        if sensor.footprints is not None:
+            a, b, d = (self.corners[:, k] for k in (0, 1, 3))
+            footprints, into = sensor.footprints.copy(), np.linalg.inv(np.stack([b - a, d - a, a], axis=2))
+        lobed = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
+        return World(
+            caster.corners, caster.face_normal, scene.face_part.astype(np.int64), materials.kind, materials.values,
+            lobed, float(scene.attenuation_per_m), caster.offset_m, np.array([*caster.center, caster.half_extent_m]),
+            sensor.position, sensor.aperture_area_m2, sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0,
+            self.capture.time.origin == "source", cones.planes, cones.solid_angle, footprints, into,
+        )  # fmt: skip
+
+    def points_toward(self, targets: Floats) -> tuple[Vertices, Ints]:
+        """Where laser rays toward targets (n, 3) meet a surface, and (n,) the row of each, −1 for none."""
+        origin = self.capture.laser.position
+        hits = self.caster.closest(origin, targets - origin)
+        rows = np.flatnonzero(hits.valid)
+        row = np.full(len(targets), -1)
+        row[rows] = np.arange(len(rows))
+        position, normal = hits.position[rows], hits.normal[rows]
+        span = origin - position
+        leg = np.sqrt(dots(span, span))
+        # An emitted photon is shared by all samples.
+        power = np.exp(-self.world.attenuation * leg) / self.samples
+        path, face = leg * self.world.from_source, hits.face[rows].astype(np.int64)
+        points = Vertices(rows, face, position, normal, span / leg[:, None], power, np.zeros(len(rows)), path)
+        return points, row
+
+
+def _all(
+    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
+    max_bounces: int | None, direct: bool, occlusion: bool, seed: int, first_sample: int,
+) -> Iterator[tuple[int, int, Found]]:  # fmt: skip
+    """All paths in batches of one order: the number of the batch's first sample, the order, the paths."""
+    tracer = _Tracer(caster, scene, materials, capture, pairs, samples, seed, first_sample)
+    total = len(tracer.pairs) * samples
+    # Whole pairs in a batch where they fit, so that a pair's guesses are made once.
+    at_once = AT_ONCE // samples * samples if samples <= AT_ONCE else AT_ONCE
+    for first in range(0, total, at_once):
+        batch = _Batch(tracer, first, min(first + at_once, total))
+        for order, found in batch.paths(max_bounces, direct, occlusion):
+            yield first, order, found
+
+
+def sample_paths(
+    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
+    max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+) -> Paths:  # fmt: skip
+    """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
+
+    pairs : (n, 2) indices of laser point and pixel. samples : number for each pair; a sample finds up to three paths
+        of each order. A power of two makes the most of the quasi-random numbers.
+    max_bounces : highest number of bounces, or None for no limit (Russian roulette). direct : whether to add paths of
+        one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point
+        (`Accuracy.occlusion` is not "off").
+    seed : the same seed gives the same paths.
+
+    A laser point of a beam that states its cells (`Laser.cells`) lies anywhere in its cell, for paths of all orders.
+    """
+    none, nothing = np.empty(0, np.int64), np.empty(0)
+    found = [Paths(none, none, none, none, nothing, nothing)]
+    for first, order, new in _all(
+        caster, scene, materials, capture, pairs, samples, max_bounces, direct, occlusion, seed, 0
+    ):
+        # Copies, as the arrays of a batch are used again.
+        sample, part, path_m, photons = new.sample + first, new.part.copy(), new.path.copy(), new.photons.copy()
+        found.append(Paths(sample // samples, sample, np.full(len(sample), order), part, path_m, photons))
+    return Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
+
+
+def path_light(
+    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
+    row_of: Ints, rows: int, max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+    first_sample: int = 0,
+) -> Floats:  # fmt: skip
+    """The light (n, rows, T + 2) of the paths of `sample_paths` in the T bins of the capture's time axis.
+
+    The first and the last column hold what arrives before and after the time axis.
+
+    row_of : (orders, K) row that paths of B bounces go to whose last hidden vertex lies on part k (with one or two
+        bounces, whose last vertex does), in row_of[B − 1, k]; its last row stands for all higher orders, too. −1 for
+        paths that are not wanted.
+    first_sample : number of the first sample in the sequence of each pair. Two calls with the same seed, one of which
+        goes on where the other ends, are together one longer run: the mean of their light, weighted by samples.
+    """
+    light = np.zeros((len(pairs), rows, capture.time.bins + 2))
+    table = np.ascontiguousarray(row_of, np.int64)
+    time = capture.time
+    for first, order, found in _all(
+        caster, scene, materials, capture, pairs, samples, max_bounces, direct, occlusion, seed, first_sample
+    ):
+        steps.add(found, order, first, samples, table, time.start_s, time.width_s, light)
+    return light

@@ -1,0 +1,182 @@
+"""Paths drawn where light is (`transport/paths.py`) equal the definition (`transport/reference.py`).
+
+The definition's vertices are uniform on all surfaces: it has no quasi-random numbers, no sampling of BRDFs and no
+weighting of densities. Energies of each order, part, histogram and window of time from `RUNS` runs of both are
+compared by Student's t at a family-wise level of `LEVEL` for each case.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
+from scipy import stats
+from test_all_ways import CAPTURES, DEVICE, TIME, energies, scene_of
+
+from datagen import Capture, Laser, Scene, Sensor
+from datagen.records import Transient
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.paths import AT_ONCE, path_light, sample_paths
+from datagen.transport.reference import pairs_of, reference
+from datagen.transport.visibility.raycast import Raycaster
+from datagen.units import time_from_path
+
+RUNS, LEVEL = 16, 1e-4
+PLAIN, SAMPLED = 1 << 15, 1 << 11
+WELL_KNOWN = 0.05
+
+
+def numbers(run: Transient) -> NDArray[np.float64]:
+    direct = [light.sum() for name, light in run.components.items() if name == "direct"]
+    return np.concatenate([*energies(run, "").values(), direct])
+
+
+def hold(scene: Scene, capture: Capture, plain_samples: int = PLAIN, **asked: object) -> None:
+    def runs(samples: int, **how: object) -> NDArray[np.float64]:
+        return np.array([
+            numbers(reference(scene, capture, samples=samples, replicates=1, seed=seed, **asked, **how))  # type: ignore[arg-type]
+            for seed in range(RUNS)
+        ])  # fmt: skip
+
+    plain, sampled = runs(plain_samples // len(pairs_of(capture))), runs(SAMPLED, draw=sample_paths)
+    # Light that only few runs met has a spread that says nothing about its error.
+    often = ((plain > 0).sum(axis=0) >= RUNS - 2) & ((sampled > 0).sum(axis=0) >= RUNS - 2)
+    off = plain.mean(axis=0) - sampled.mean(axis=0)
+    noise = np.hypot(plain.std(axis=0, ddof=1), sampled.std(axis=0, ddof=1)) / np.sqrt(RUNS)
+    t = stats.t.isf(LEVEL / 2 / often.sum(), RUNS - 1)
+    # The direct return has no noise, only rounding.
+    allowed = t * noise + 1e-12 * plain.max()
+    assert (np.abs(off) <= allowed)[often].all(), np.column_stack([plain.mean(0), sampled.mean(0), noise])[often]
+    largest = int(np.argmax(sampled.mean(axis=0)))
+    assert noise[largest] < WELL_KNOWN * sampled.mean(axis=0)[largest]
+
+
+BY_DAY = [
+    ("lambertian 0.6", "box", "confocal"), ("oren-nayar 1.2", "ball", "exhaustive"), ("phong 10", "plate", "array"),
+    ("ggx 0.6", "open_mesh", "flood"), ("retroreflector 0.4", "touching", "exhaustive"),
+    ("sin lobe xyz", "ball", "confocal"),
+]  # fmt: skip
+BY_NIGHT = [("phong 60", "box", "array"), ("ggx 1", "plate", "exhaustive")] + [
+    (material, shape, capture) for material, shape, _ in BY_DAY for capture in CAPTURES
+]
+
+
+@pytest.mark.parametrize(
+    ("material", "shape", "capture"),
+    [*BY_DAY, *(pytest.param(*case, marks=pytest.mark.nightly) for case in BY_NIGHT if case not in BY_DAY)],
+)
+def test_every_brdf(material: str, shape: str, capture: str) -> None:
+    hold(scene_of(material, shape), CAPTURES[capture](), max_bounces=4)
+
+
+@pytest.mark.parametrize(
+    ("laser", "origin"),
+    [((0.9, 0.4, 0.0), "wall"), ((0.0, 0.2, 1.2), "source")],
+    ids=["on the floor", "in the pixel"],
+)
+def test_in_fog_with_the_direct_return_and_five_bounces(laser: tuple[float, float, float], origin: str) -> None:
+    """Away from corners, whose short paths the definition's uniform vertices hardly ever meet."""
+    scene = replace(furnished_box(0.8), attenuation_per_m=0.3)
+    capture = one_point_capture(laser, (0, 0.2, 1.2), 0.15, bins_of_path(96, 0.25, 0.0))
+    hold(scene, replace(capture, time=replace(capture.time, origin=origin)), max_bounces=5, direct=True)
+
+
+def test_without_asking_what_stands_before_the_pixel() -> None:
+    hold(furnished_box(), one_point_capture(time=bins_of_path(96, 0.25, 0.0)), occlusion=False, direct=True)
+
+
+@pytest.mark.parametrize("bounces", [1, 2])
+def test_direct_light_alone(bounces: int) -> None:
+    capture = one_point_capture((0.9, 0.4, 0.0), (0, 0.2, 1.2), 0.15, bins_of_path(96, 0.25, 0.0))
+    if bounces == 1:
+        capture = one_point_capture((0.0, 0.2, 1.2), (0, 0.2, 1.2), 0.15, bins_of_path(96, 0.25, 0.0))
+    scene = replace(furnished_box(0.8), attenuation_per_m=0.1)
+    runs = [
+        reference(scene, capture, samples=1 << 14, replicates=8, max_bounces=bounces, direct=True, **how)  # type: ignore[arg-type]
+        for how in ({}, {"draw": sample_paths})
+    ]
+    plain, sampled = (run.components["direct"] for run in runs)
+    noise = np.sqrt(sum((run.stderr**2).sum() for run in runs))
+    assert plain.sum() > 0 and abs(plain.sum() - sampled.sum()) < 4 * noise + 1e-9 * plain.sum()
+
+
+def test_pixels_of_uneven_sensitivity() -> None:
+    """Also of light that lands in the pixel, and of the laser point's own; a mirror-like plate sends much of both."""
+    shares = np.array([[[0.0, 1.0, 2.0], [3.0, 0.5, 1.0]], [[1.0, 0.0, 0.0], [2.0, 4.0, 0.0]]])
+    points = np.array([[0, 0.2, 0.7], [0, -0.3, 1.3]])
+    sensor = Sensor(DEVICE, square_pixels(points, 0.15), footprints=shares)
+    capture = Capture(Laser(DEVICE, [[0, 0.3, 0.75]]), sensor, TIME)
+    hold(scene_of("phong 10", "plate"), capture, max_bounces=3, direct=True)
+
+
+def test_a_beam_lights_all_of_its_cells() -> None:
+    """Cells and pixels so large that the middles of the cells would give other light."""
+    laser = Laser.flood(DEVICE, (0, 0, 1.0), (0, 0.6, 0), (0, 0, 0.5), rows=1, columns=2, weights=[3.0, 1.0])
+    sensor = Sensor.grid(DEVICE, (0, 0, 1.0), (0, 0.6, 0), (0, 0, 0.5), rows=1, columns=2)
+    capture = Capture(laser, sensor, TIME, illumination="flood")
+    scene = scene_of("lambertian 0.6", "box")
+    hold(scene, capture, max_bounces=3, direct=True)
+    middles = replace_cells(capture)
+    with_cells, without = (
+        reference(scene, seen, samples=1 << 13, replicates=4, direct=True, draw=sample_paths)
+        for seen in (capture, middles)
+    )
+    off = np.abs(with_cells.components["direct"] - without.components["direct"]).sum()
+    assert off > 0.05 * without.components["direct"].sum()
+
+
+def replace_cells(capture: Capture) -> Capture:
+    laser = Laser(capture.laser.position, capture.laser.targets, capture.laser.weights)
+    return replace(capture, laser=laser)
+
+
+def test_light_is_that_of_the_paths() -> None:
+    """`path_light` adds up the paths of `sample_paths` by row and bin, also before and after the window; and two
+    shorter runs, of which one goes on where the other ends, are one longer run."""
+    scene, capture = scene_of("ggx 0.6", "box"), CAPTURES["confocal"]()
+    time = replace(capture.time, start_s=float(time_from_path(2.0)), bins=20)
+    capture = replace(capture, time=time)
+    caster, materials, pairs = Raycaster(scene), MaterialTable.of(scene.materials), pairs_of(capture)
+    parts, samples = len(scene.part_names), 4096
+    # Single bounces into row 0, primaries by part, all higher orders into the last row; those of two bounces nowhere.
+    table = np.stack([np.zeros(parts), -np.ones(parts), 1 + np.arange(parts), np.full(parts, parts + 1)]).astype(int)
+
+    def light(samples: int, first: int) -> NDArray[np.float64]:
+        return path_light(
+            caster, scene, materials, capture, pairs, samples, row_of=table, rows=parts + 2, max_bounces=5,
+            direct=True, seed=3, first_sample=first,
+        )  # fmt: skip
+
+    whole = light(samples, 0)
+    paths = sample_paths(
+        caster, scene, materials, capture, pairs, samples, max_bounces=5, direct=True, seed=3
+    )  # fmt: skip
+    assert len(pairs) * samples <= AT_ONCE
+    expected = np.zeros_like(whole)
+    row = table[np.minimum(paths.order, 4) - 1, paths.part]
+    column = np.clip(np.floor((time_from_path(paths.path_m) - time.start_s) / time.width_s), -1, time.bins) + 1
+    np.add.at(expected, (paths.pair[row >= 0], row[row >= 0], column.astype(int)[row >= 0]), paths.photons[row >= 0])
+    # There is light before and after the window, and in each row but that of three bounces by way of the wall.
+    assert (expected.sum(axis=(0, 1))[[0, -1]] > 0).all() and (expected.sum(axis=(0, 2)) > 0).sum() == parts + 1
+    np.testing.assert_allclose(whole, expected, rtol=1e-12, atol=0)
+    halves = (light(samples // 4, 0) + 3 * light(3 * samples // 4, samples // 4)) / 4
+    np.testing.assert_allclose(halves, whole, rtol=1e-9, atol=1e-12 * whole.max())
+
+
+@pytest.mark.parametrize("draw", [pytest.param(None, marks=pytest.mark.nightly), sample_paths])
+def test_all_orders_in_a_white_room(draw: Callable[..., object] | None) -> None:
+    """Orders of three and more, from runs of unlimited bounces, bring at least the light of runs up to six
+    bounces."""
+    room, capture = furnished_box(0.8), one_point_capture(time=bins_of_path(96, 0.5, 0.0))
+    how = {} if draw is None else {"draw": draw}
+    every, some = (
+        reference(room, capture, samples=PLAIN, replicates=4, max_bounces=last, **how)  # type: ignore[arg-type]
+        for last in (None, 6)
+    )
+    noise = np.sqrt((every.stderr**2).sum() + (some.stderr**2).sum())
+    assert every.total.sum() > some.total.sum() - 4 * noise
+    assert every.components["higher"].sum() > 1.05 * some.components["higher"].sum() - 4 * noise
