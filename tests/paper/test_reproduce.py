@@ -18,7 +18,7 @@ from datagen.paper.runs import PEAKS_NS, Sizes, component_curves
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "demonstration_room.yaml"
-TINY = Sizes(rays=(6, 9), pixels=12, reference=1 << 13)
+TINY = Sizes(rays=(6, 9), pixels=12, target=0.05)
 IMAGES = {"figure_3.png", "figure_5.png", "figure_7.png", "figure_9.png"}
 
 
