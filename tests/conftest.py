@@ -15,6 +15,7 @@ for _library in ("OMP", "OPENBLAS", "MKL"):
 
 FIRST = (
     "equivalence/test_secondary.py",
+    "paper/test_radiometric.py",
     "detector/test_laws.py",
     "detector/test_samplers.py",
     "detector/test_numerics.py",
@@ -34,7 +35,7 @@ FIRST = (
     "effects/test_switchboard.py",
     "physics/test_all_bounces.py",
     "report/test_datasets_shown.py",
-    "report/test_reproduce.py",
+    "paper/test_reproduce.py",
 )
 """A file goes to one process as a whole, in this order. While one process compiles the transport's kernels, the other
 has files that need none of them: it compiles those of the detector, then draws rooms and pictures and stores what is

@@ -214,7 +214,7 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
         "it comes by walls, roof and floor (blue, dashed), box (purple), pillar (orange), secondary bounce (red). "
         "Above: Eq. 6 and 8 as printed, lengths in millimetres. Below: radiometric weights, the secondary by as many "
         f"lookins and observed points, the primary by simulate, to {100 * runs.sizes.target:g} %, which does not "
-        "depend on these counts; thin and pale simulate's own secondary of all paths. Dotted lines: where the "
+        "depend on these counts; thin and pale simulate's own light, by all paths. Dotted lines: where the "
         f"paper's Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = {sigma_ps:.0f} ps."
     )
     pixels, window = runs.sizes.pixels, curve_window(runs.converged.curves)

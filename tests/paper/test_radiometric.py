@@ -113,16 +113,16 @@ def test_the_mean_is_the_light_of_four_bounces(place: str) -> None:
         light = np.array(runs)
         return np.concatenate([light.sum(axis=(1, 2)), light.sum(axis=3).reshape(RUNS, -1)], axis=1)
 
-    ours = numbers([secondary(scene, capture, 1024, 64, seed=seed) for seed in range(RUNS)])
+    ours = numbers([secondary(scene, capture, 1 << 13, 64, seed=seed) for seed in range(RUNS)])
     paths = numbers([
-        reference(scene, capture, samples=1 << 13, replicates=1, max_bounces=4, seed=seed, draw=sample_paths)
+        reference(scene, capture, samples=1 << 14, replicates=1, max_bounces=4, seed=seed, draw=sample_paths)
         .components["secondary"] for seed in range(RUNS)
     ])  # fmt: skip
     error = np.hypot(stats.sem(ours), stats.sem(paths))
     filled = paths.mean(axis=0) > 3e-3 * paths.mean(axis=0).max()
     off = np.abs(ours.mean(axis=0) - paths.mean(axis=0))
     assert (off < stats.t.isf(LEVEL / 2 / filled.sum(), RUNS - 1) * error)[filled].all()
-    assert error[-1] < 0.15 * ours[:, -1].mean()
+    assert error[-1] < (0.15 if "shadow" in place else 0.005) * ours[:, -1].mean()
 
 
 def test_inside_of_a_sphere() -> None:
@@ -145,7 +145,7 @@ def test_inside_of_a_sphere() -> None:
 def test_one_lookin_and_one_observed_point_have_the_same_mean() -> None:
     scene, capture = furnished_box(), one_point_capture()
     truth = secondary(scene, capture, 1 << 13, 64, seed=9).sum()
-    ones = np.array([secondary(scene, capture, 1, 1, seed=seed).sum() for seed in range(300)])
+    ones = np.array([secondary(scene, capture, 1, 1, seed=seed).sum() for seed in range(100)])
     assert abs(ones.mean() - truth) < stats.norm.isf(LEVEL / 2) * stats.sem(ones)
 
 

@@ -84,6 +84,7 @@ def test_a_failure_leaves_nothing(place: str, tmp_path: Path, capsys: pytest.Cap
     [
         ("points_m: [[6, 0, 2.5], [6, 0, 2]]", "2 laser points"),
         ("relay_wall: {albedo: 1, brdf: {kind: phong}}", "Phong is no BRDF of the paper"),
+        ("relay_wall: {albedo: 1, brdf: {kind: sin_lobe}}", "SinLobe does not factorise"),
     ],
 )
 def test_rooms_that_the_paper_could_not_compute_are_refused(
