@@ -19,7 +19,6 @@ from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, h
 from datagen.records import Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import check_choice, check_integer, check_kind, check_number
-from datagen.transport.binning import add_to_bin
 
 Secondary = Literal["all", "strongest", "none"]
 Conserved = Literal["room", "lookin", "rays"]
@@ -204,11 +203,13 @@ def _add_primary(
     amplitude: Floats, position: Floats, part: Ints, out: Paths, parts: Floats, overflow: Floats
 ) -> None:
     """Add A₁ · A₂A₃ for every lookin and each path out of it (Eq. 6)."""
-    pixels = parts.shape[1]
+    pixels, bins = parts.shape[1:]
     for row in range(len(out.first) - 1):
         # Paths are listed lookin by lookin, and for each of them pixel by pixel.
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
-            overflow[pixel] += add_to_bin(
-                parts[part[lookin], pixel], position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
-            )
+            arrival, energy = position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
+            if 0.0 <= arrival < bins:
+                parts[part[lookin], pixel, int(arrival)] += energy
+            else:
+                overflow[pixel] += energy

@@ -26,7 +26,6 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.binning import add_to_bin
 
 SUB_BINS = 4
 """Sub-bins per bin of the window. A power of two, so that bins and sub-bins share their edges to the last bit. With
@@ -102,15 +101,17 @@ def double_sum(ins: Paths, outs: Paths, transient: Floats, overflow: Floats) -> 
     Each pair is binned by itself, as the paper does it; tests hold `convolve` against it. Here positions count whole
     bins from the start of the window.
     """
-    pixels = len(transient)
+    pixels, bins = transient.shape
     for b in range(len(ins.first) - 1):
         for p in range(pixels):
             r = b * pixels + p
             for i in range(ins.first[b], ins.first[b + 1]):
                 for j in range(outs.first[r], outs.first[r + 1]):
-                    energy = ins.energy[i] * outs.energy[j]
-                    if energy > 0.0:
-                        overflow[p] += add_to_bin(transient[p], ins.position[i] + outs.position[j], energy)
+                    position, energy = ins.position[i] + outs.position[j], ins.energy[i] * outs.energy[j]
+                    if 0.0 <= position < bins:
+                        transient[p, int(position)] += energy
+                    else:
+                        overflow[p] += energy
 
 
 def keep_strongest(paths: Paths, count: int) -> None:

@@ -36,7 +36,6 @@ from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
 from datagen.transport.fields_of_view import PixelCones, fov_points
 from datagen.transport.flood import as_scan, sum_of_flood
-from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
 from datagen.transport.visibility.coincidence import set_apart
 from datagen.transport.visibility.raycast import Raycaster
@@ -48,6 +47,8 @@ BY_LASER = 1 / 8
 """Share of the lookins and of the observed points that rays from the laser point find. They bring most of the light
 of a laser point right beside another surface, where other rays seldom land. Without them the mean is the same; the
 noise is the same in open places (0.012 and 0.016 % in a furnished room), and has no bound in corners."""
+RAYS_AT_ONCE = 1 << 17
+"""Rays in memory at once, with some 30 numbers each: 32 MiB. Half as many take twice the calls."""
 MOST = 2**20
 """Most lookins, and most observed points of each."""
 
@@ -102,7 +103,7 @@ def secondary(
     for lasers in existing[:, None] if confocal else [existing] * (len(existing) > 0):
         pixels = lasers if confocal else np.arange(capture.shape[1])
         numbers = scrambled_sobol(stream_seeds(seed, LightStream.FACTORISED_FIRST, lasers[0]), lookins, 8)[0]
-        at_once = max(1, VALUES_AT_ONCE // 32 // max(observed, len(pixels) * FOV_POINTS))
+        at_once = max(1, RAYS_AT_ONCE // max(observed, len(pixels) * FOV_POINTS))
         for first in range(0, lookins, at_once):
             scheme.add_lookins(light, lasers, pixels, numbers[first : first + at_once], first)
     return light / lookins
