@@ -35,7 +35,7 @@ FIRST = (
     "effects/test_switchboard.py",
     "physics/test_all_bounces.py",
     "report/test_datasets_shown.py",
-    "paper/test_reproduce.py",
+    "report/test_reproduce.py",
 )
 """A file goes to one process as a whole, in this order. While one process compiles the transport's kernels, the other
 has files that need none of them: it compiles those of the detector, then draws rooms and pictures and stores what is
