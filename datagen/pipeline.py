@@ -278,7 +278,8 @@ def _parameters(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, Sc
         "transient.relative_error": transient.relative_error,
         **({} if transient.met_target is None else {"transient.target_met": transient.met_target}),
         **_scalars("transient.part_error", transient.part_errors),
-        **_scalars("transport.sampler", transient.samplers), **_scalars("transport.rays", transient.rays),
+        **_scalars("transport.sampler", transient.samplers),
+        **_scalars("transport.rays", transient.rays),
         **({"transport.second_opinion": transient.second_opinion} if transient.second_opinion else {}),
         "histogram.counts": int(counts.histogram.sum()),
     }

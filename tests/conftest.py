@@ -15,6 +15,7 @@ for _library in ("OMP", "OPENBLAS", "MKL"):
 
 FIRST = (
     "equivalence/test_secondary.py",
+    "paper/test_radiometric.py",
     "detector/test_laws.py",
     "detector/test_samplers.py",
     "detector/test_numerics.py",

@@ -184,9 +184,7 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
 )
 @click.option("--seconds", default=60.0, show_default=True, type=float, help="Budget, processor seconds.")
 @click.option("--repeats", default=3, show_default=True, type=click.IntRange(1), help="Runs behind each median.")
-def main(
-    config: str, out: Path | None, scene: int, laser_points: int | None, seconds: float, repeats: int
-) -> None:
+def main(config: str, out: Path | None, scene: int, laser_points: int | None, seconds: float, repeats: int) -> None:
     """Measure what accuracy costs for one scene of CONFIG; table and picture go to the folder OUT, if given."""
     loaded = load_config(config)
     if not 1 <= seconds < math.inf:

@@ -56,7 +56,13 @@ class PlainPaths:
 
     @classmethod
     def of(
-        cls, scene: Scene, capture: Capture, accuracy: Accuracy, samples: int, seed: int = 0, pairs: Ints | None = None
+        cls,
+        scene: Scene,
+        capture: Capture,
+        accuracy: Accuracy,
+        samples: int,
+        seed: int = 0,
+        pairs: Ints | None = None,
     ) -> PlainPaths:
         """The components of an accuracy, and the primary by part, with `samples` paths of each pair in each run."""
         problem = Problem.of(scene, capture, accuracy, seed, split_parts=True)

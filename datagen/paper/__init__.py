@@ -1,1 +1,5 @@
-"""The paper the model starts from: its estimators as printed, its figures, and what of it holds."""
+"""The paper the model starts from: its estimators, as printed and radiometric, its figures, and what of it holds."""
+
+from datagen.paper.radiometric import secondary
+
+__all__ = ["secondary"]

@@ -1,4 +1,4 @@
-"""The paper's estimator as its Eq. 6 and Eq. 8 print it, beside the radiometric one of `simulate.py`.
+"""The paper's estimator as its Eq. 6 and Eq. 8 print it, beside `radiometric.py`.
 
 Scholes & Leach, "Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data", Sensors 24(20), 6522 (2024). It
 reproduces that paper's figures and shows what its weights do; for data use `simulate`.
@@ -14,12 +14,11 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
+from datagen.paper.convolution import Paths, double_sum, keep_strongest
 from datagen.paper.printed_paths import Grid, Lighting, PrintedRoom, arriving, half_cube, leaving, lighting, ray_grid
 from datagen.records import Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import check_choice, check_integer, check_kind, check_number
-from datagen.transport.binning import add_to_bin
-from datagen.transport.factorised.convolution import Paths, Sums, double_sum, keep_strongest
 
 Secondary = Literal["all", "strongest", "none"]
 Conserved = Literal["room", "lookin", "rays"]
@@ -158,7 +157,7 @@ def _add_laser_point(
     start = float(room.bins(np.array(before))) - capture.time.start_s / capture.time.width_s
     camera = half_cube(settings.pixels)
     lookins = room.lookins(laser, ray_grid(settings.rays, settings.grid))
-    sums = Sums(np.zeros((count, bins)), np.zeros(count))
+    light, late = np.zeros((count, bins)), np.zeros(count)
     total = 0.0
     at_once = max(1, POINTS_AT_ONCE // (len(camera) * max(1, len(pixels) // 8)))
     for first in range(0, len(lookins), at_once):
@@ -171,18 +170,18 @@ def _add_laser_point(
         seconds["trace"] += traced - began
         if settings.secondary == "none":
             continue
-        light = lighting(room, laser, seen)
-        into = arriving(room, laser, chunk, seen, light)
+        lit = lighting(room, laser, seen)
+        into = arriving(room, laser, chunk, seen, lit)
         if settings.conserved == "lookin":
-            into = _each_lookin_alike(into, light)
+            into = _each_lookin_alike(into, lit)
         if settings.secondary == "strongest":
             keep_strongest(into, 1)
-        double_sum(_present(into), out._replace(position=out.position + start), sums)
-        total += float(light.brdf.sum())
+        double_sum(_present(into), out._replace(position=out.position + start), light, late)
+        total += float(lit.brdf.sum())
         seconds["secondary"] += clock_time.perf_counter() - traced
     alpha = {"room": 1.0 / total if total > 0 else 0.0, "lookin": 1.0, "rays": lookins.alpha}[settings.conserved]
-    secondary += alpha * sums.transient
-    overflow += alpha * sums.overflow
+    secondary += alpha * light
+    overflow += alpha * late
 
 
 def _each_lookin_alike(into: Paths, light: Lighting) -> Paths:
@@ -204,11 +203,13 @@ def _add_primary(
     amplitude: Floats, position: Floats, part: Ints, out: Paths, parts: Floats, overflow: Floats
 ) -> None:
     """Add A₁ · A₂A₃ for every lookin and each path out of it (Eq. 6)."""
-    pixels = parts.shape[1]
+    pixels, bins = parts.shape[1:]
     for row in range(len(out.first) - 1):
         # Paths are listed lookin by lookin, and for each of them pixel by pixel.
         lookin, pixel = row // pixels, row % pixels
         for n in range(out.first[row], out.first[row + 1]):
-            overflow[pixel] += add_to_bin(
-                parts[part[lookin], pixel], position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
-            )
+            arrival, energy = position[lookin] + out.position[n], amplitude[lookin] * out.energy[n]
+            if 0.0 <= arrival < bins:
+                parts[part[lookin], pixel, int(arrival)] += energy
+            else:
+                overflow[pixel] += energy

@@ -212,10 +212,10 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
     text = (
         f"As Fig. {number} of Scholes & Leach (2024), with {what}: the likelihood envelope L(t) (black), and what of "
         "it comes by walls, roof and floor (blue, dashed), box (purple), pillar (orange), secondary bounce (red). "
-        "Above: Eq. 6 and 8 as printed, lengths in millimetres. Below: radiometric weights with as many lookins, "
-        "observed points and FoV points, over the converged result of all paths (thin, pale). Dotted lines: where "
-        f"the paper's Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = "
-        f"{sigma_ps:.0f} ps."
+        "Above: Eq. 6 and 8 as printed, lengths in millimetres. Below: radiometric weights, the secondary by as many "
+        f"lookins and observed points, the primary by simulate, to {100 * runs.sizes.target:g} %, which does not "
+        "depend on these counts; thin and pale simulate's own light, by all paths. Dotted lines: where the "
+        f"paper's Fig. 7 has its peaks. A bin is {runs.capture.time.width_s * 1e12:g} ps wide; σ = {sigma_ps:.0f} ps."
     )
     pixels, window = runs.sizes.pixels, curve_window(runs.converged.curves)
     with house_style():

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
+from datagen.paper.convolution import Paths
 from datagen.records import Capture, Lambertian, Scene, SinLobe
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import Vector
 from datagen.transport.brdf.sin_lobe import azimuth_sine
-from datagen.transport.factorised.convolution import Paths
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.visibility.raycast import Raycaster

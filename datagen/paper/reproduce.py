@@ -86,7 +86,9 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
     yield (
         "<p>Scholes &amp; Leach, <i>Path Tracing-Inspired Modeling of Non-Line-of-Sight SPAD Data</i>, Sensors "
         "24(20), 6522 (2024), computed again twice: <b>as printed</b>, by its Eq. 6 and Eq. 8 to the letter with "
-        "lengths in millimetres, and with <b>radiometric</b> weights. "
+        "lengths in millimetres, and with <b>radiometric</b> weights: the secondary by the paper's scheme, "
+        "<code>datagen.paper.secondary</code>, whose seconds are given, the primary by "
+        f"<code>datagen.simulate</code>, to {100 * runs.sizes.target:g} %. "
         f"Room: <code>{escape(runs.config.name)}</code>. Made by <code>{escape(command)}</code> on one core of "
         f"{escape(processor())}. All numbers: <code>{NUMBERS}</code>; what of the paper holds, and what its text "
         "leaves open: <code>docs/figures.md</code>.</p>"
@@ -99,7 +101,7 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
     blank = "", ""
     rows = [["published, Fig. 7", *(f"{PEAKS_NS[name]:g}" if name in PEAKS_NS else "" for name in parts), *blank]]
     for (estimator, rays, scheme), case in runs.cases.items():
-        counts = f"{rays}×{rays}×{pixels}×{pixels}, {scheme}" if rays else f"{runs.sizes.reference} lookins"
+        counts = f"{rays}×{rays}×{pixels}×{pixels}, {scheme}" if rays else "simulate"
         peaks = [f"{peak_ns(case.curves.parts[name], case.curves.time_ns):.1f}" for name in parts]
         level = case.level["secondary"] / case.level["primary"] if case.level["primary"] > 0 else float("nan")
         published = PUBLISHED_SECONDS.get((rays, scheme), "") if pixels == 60 and estimator == "as printed" else ""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 from datagen.records.capture import TimeAxis
-from datagen.records.checks import check_flag, check_integer, check_kind, check_mapping, check_number, check_reals
+from datagen.records.checks import check_flag, check_integer, check_kind, check_mapping, check_reals
 
 Scalar = float | int | str | bool
 _NUMBERS = (int, float, np.integer, np.floating)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -264,7 +263,13 @@ def _judge(each, widths, window, noise, bias):  # type: ignore[no-untyped-def]
                     for r in range(m % 2, R, 2 if m < 2 else 1):
                         x = box[r, t] / widths[k]
                         y = x - each[r, h, t]
-                        n, mean, square, blur, blur_square = n + 1, mean + x, square + x * x, blur + y, blur_square + y * y
+                        n, mean, square, blur, blur_square = (
+                            n + 1,
+                            mean + x,
+                            square + x * x,
+                            blur + y,
+                            blur_square + y * y,
+                        )
                     noise[m, k, t // window] += (square - mean * mean / n) / (n - 1)
                     # The square of a noisy mean is too large by its variance.
                     bias[m, k, t // window] += (blur / n) ** 2 - (blur_square - blur * blur / n) / (n * (n - 1))

@@ -7,7 +7,7 @@ the photons it sends into an aperture of area A are f₃ E₃ · A J / M for M p
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray

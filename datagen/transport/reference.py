@@ -16,7 +16,7 @@ are uniform on the pixel. Its mean is right in every scene, for every BRDF and n
 where lobes are narrow. `reference` adds such paths up in time bins.
 
 `paths.py` draws paths of the same integral where most light is, with far less noise. Tests compare it with
-`plain_paths`, and quadrature, path tracing and the factorised form with `paths.py`.
+`plain_paths`, and all other ways with `paths.py`.
 """
 
 from __future__ import annotations

@@ -193,8 +193,7 @@ def _sampled(problem: Problem, components: Sequence[str], known: Floats, error: 
     poor = [
         name
         for name, light in found.light.items()
-        if isinstance(sources[name], BlocksOf)
-        and not is_enough(found.error[name], l2_norm(light), whole, target)
+        if isinstance(sources[name], BlocksOf) and not is_enough(found.error[name], l2_norm(light), whole, target)
     ]
     if poor:
         paths: dict[str, Source] = {name: PathsOf(problem, name) for name in poor}

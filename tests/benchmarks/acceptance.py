@@ -111,7 +111,9 @@ def summary(cases: list[Case], target: float) -> str:
         if pairs:
             ratio = np.array([found / claimed for claimed, found in pairs])
             low, high, most = np.median(ratio), np.quantile(ratio, 0.95), ratio.max()
-            lines.append(f"{what}: {len(pairs)} known; true/claimed median {low:.2f}, 95 % {high:.2f}, largest {most:.2f}")
+            lines.append(
+                f"{what}: {len(pairs)} known; true/claimed median {low:.2f}, 95 % {high:.2f}, largest {most:.2f}"
+            )
     claims = np.array([c.claimed for c in cases]) / target
     lines.append(f"claimed/target: median {np.median(claims):.2f}, 95 % {np.quantile(claims, 0.95):.2f}")
     for component in ("primary", "secondary", "higher"):

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import trimesh
-from rooms import bins_of_path, furnished_box, one_point_capture, rectangle
+from rooms import bins_of_path, one_point_capture, rectangle
 
-from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene, simulate
+from datagen import Accuracy, Capture, Lambertian, OrenNayar, Part, Scene
 from datagen.records import Material
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import pairs_of
-from datagen.transport.problem import Problem
 
 
 def cluttered() -> Scene:

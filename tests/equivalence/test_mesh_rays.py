@@ -27,9 +27,9 @@ from datagen import (
 from datagen.records import Material
 from datagen.records.arrays import Floats
 from datagen.transport.paths import sample_paths
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.reference import reference
-from datagen.transport.problem import Problem
 
 DEVICE = np.array([2.4, -0.9, 1.2])
 AXIS = TimeAxis(64, 4e-10, 0.0, "wall")

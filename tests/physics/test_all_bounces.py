@@ -118,7 +118,10 @@ def test_attenuation_is_exp_of_the_whole_path() -> None:
     capture = one_point_capture(time=bins_of_path(4000, 0.005, 0.0, "source"))
     clear = simulate(furnished_box(), capture, Accuracy(samples=2048, max_bounces=5, direct=True), seed=1)
     foggy = simulate(
-        replace(furnished_box(), attenuation_per_m=0.7), capture, Accuracy(samples=2048, max_bounces=5, direct=True), seed=1
+        replace(furnished_box(), attenuation_per_m=0.7),
+        capture,
+        Accuracy(samples=2048, max_bounces=5, direct=True),
+        seed=1,
     )
     path = 0.005 * (np.arange(4000) + 0.5)
     filled = clear.total[0, 0] > 0

@@ -10,9 +10,9 @@ from rooms import bins_of_path, rectangle, square_pixels
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
 from datagen.transport.error_control import refinement
 from datagen.transport.paths import sample_paths
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.gathering import Gathering, TooMuchWork
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.problem import Problem
 
 DEVICE = np.array([3.0, -1.0, 1.2])
 SIDE, HIT, GAP_M = 24, 17, 0.003

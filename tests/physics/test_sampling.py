@@ -84,7 +84,8 @@ def test_order_of_convergence() -> None:
     for count in counts:
         runs = [
             float(
-                (r := simulate(scene, capture, Accuracy(samples=int(count), max_bounces=3), seed=s)).total.sum() + r.overflow.sum()
+                (r := simulate(scene, capture, Accuracy(samples=int(count), max_bounces=3), seed=s)).total.sum()
+                + r.overflow.sum()
             )
             for s in range(32)
         ]

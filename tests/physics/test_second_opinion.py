@@ -10,9 +10,9 @@ import datagen as dg
 from datagen.records import Accuracy
 from datagen.transport.error_control import primary as adaptive
 from datagen.transport.error_control.second_opinion import Claim, second_opinion
+from datagen.transport.problem import Problem
 from datagen.transport.quadrature.gathering import Gathering
 from datagen.transport.quadrature.three_bounces import primary_by_cells
-from datagen.transport.problem import Problem
 from tests.rooms import bins_of_path, furnished_box, square_pixels
 
 SEEDS = range(6)

@@ -18,7 +18,7 @@ from datagen.paper.runs import PEAKS_NS, Sizes, component_curves
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs" / "demonstration_room.yaml"
-TINY = Sizes(rays=(6, 9), pixels=12, reference=1 << 13)
+TINY = Sizes(rays=(6, 9), pixels=12, target=0.05)
 pytestmark = pytest.mark.usefixtures("coarse")
 
 IMAGES = {"figure_3.png", "figure_5.png", "figure_7.png", "figure_9.png"}
@@ -86,6 +86,7 @@ def test_a_failure_leaves_nothing(place: str, tmp_path: Path, capsys: pytest.Cap
     [
         ("points_m: [[6, 0, 2.5], [6, 0, 2]]", "2 laser points"),
         ("relay_wall: {albedo: 1, brdf: {kind: phong}}", "Phong is no BRDF of the paper"),
+        ("relay_wall: {albedo: 1, brdf: {kind: sin_lobe}}", "SinLobe does not factorise"),
     ],
 )
 def test_rooms_that_the_paper_could_not_compute_are_refused(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,24 +11,22 @@ import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.paper.runs import ComponentCurves, component_curves
 
-FAST = {"lookins": 64, "fov_samples": 2, "replicates": 2}
-
 
 def configured(capture: dict[str, Any], detector: dict[str, Any] | None = None, **scene: Any) -> DatasetConfig:
     return config_from_mapping(
-        {"seed": 4, "scene": scene, "capture": capture, "detector": detector or {}, "transport": FAST}
+        {"seed": 4, "scene": scene, "capture": capture, "detector": detector or {}, "transport": {"target": 0.3}}
     )
 
 
-def curves_of(config: DatasetConfig, **accuracy: Any) -> ComponentCurves:
+def curves_of(config: DatasetConfig, bounces: int = 4, **accuracy: Any) -> ComponentCurves:
     scene = dg.generate_scene(config.scene, config.seed, 0)
     capture = dg.capture_for(config, scene)
-    wanted = replace(config.transport.accuracy(), max_bounces=5, **accuracy)
+    wanted = dg.Accuracy(target=0.05, max_bounces=bounces, **accuracy)
     return component_curves(config, scene, capture, dg.simulate(scene, capture, wanted, seed=1))
 
 
 def test_the_curves_add_up_to_the_total() -> None:
-    curves = curves_of(configured({"scan": {"rows": 2, "columns": 2}}, {"pde": 0.5}), direct=True)
+    curves = curves_of(configured({"scan": {"rows": 2, "columns": 2}}, {"pde": 0.5}), bounces=5, direct=True)
     assert set(curves.orders) == {"secondary", "higher", "direct"}
     total = sum(curves.parts.values()) + sum(curves.orders.values())
     np.testing.assert_allclose(curves.total, total, rtol=1e-9, atol=curves.total.max() * 1e-12)

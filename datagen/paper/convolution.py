@@ -19,13 +19,13 @@ side, which spreads arrival times by 1/(12 SUB_BINS²) bin², whatever the width
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.binning import add_to_bin
+from datagen.records.arrays import Floats, Ints
 
 SUB_BINS = 4
 """Sub-bins per bin of the window. A power of two, so that bins and sub-bins share their edges to the last bit. With
@@ -42,45 +42,26 @@ class Paths(NamedTuple):
     position: Floats
     energy: Floats
 
-    def take(self, rows: Bools) -> Paths:
-        """The half paths of the rows that are True in `rows`, renumbered."""
-        counts = np.diff(self.first)
-        kept = np.repeat(rows, counts)
-        return Paths(np.append(0, np.cumsum(counts[rows])), self.position[kept], self.energy[kept])
-
-
-class Sums(NamedTuple):
-    """The sums so far: transient (L, P, T) in bins of the window, overflow (L, P) energy outside the window."""
-
-    transient: Floats
-    overflow: Floats
-
-    def of_laser(self, laser: int) -> Sums:
-        """Views (P, T) and (P,) of one laser point's sums, to be added to."""
-        return Sums(self.transient[laser], self.overflow[laser])
-
 
 @compiled()
-def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
-    """Add to `sums` the light of one laser point by way of every lookin b to every pixel.
+def convolve(ins: Paths, outs: Paths, displacement: Floats, transient: Floats) -> None:
+    """Add to `transient` (P, T) the light of one laser point by way of every lookin b to every pixel.
 
     ins : row b holds the half paths from the laser into lookin b. outs : row b · P + pixel holds those out of it.
-    displacement : (lookins,) the u of each lookin's sub-bins. sums : (P, T) and (P,) arrays.
+    displacement : (lookins,) the u of each lookin's sub-bins. Light outside the window is left out.
     """
-    pixels, bins = sums.transient.shape[0], sums.transient.shape[1] * SUB_BINS
+    pixels, bins = transient.shape[0], transient.shape[1] * SUB_BINS
     summed = np.zeros((pixels, bins))
     for b in range(len(displacement)):
         # The displacements u and 1 − u of a pair add up to the whole sub-bin that rounding down takes from its sum on
         # average, a half from each.
-        base_in, arriving, before_in = _binned(ins, b, displacement[b])
+        base_in, arriving = _binned(ins, b, displacement[b])
         if len(arriving) == 0:
             continue
         for p in range(pixels):
-            base_out, leaving, before_out = _binned(outs, b * pixels + p, 1.0 - displacement[b])
+            base_out, leaving = _binned(outs, b * pixels + p, 1.0 - displacement[b])
             # The inner loop runs over the longer of the two, which compilers turn into vector instructions.
-            x, y, before = arriving, leaving, before_out
-            if len(x) > len(y):
-                x, y, before = leaving, arriving, before_in
+            x, y = (arriving, leaving) if len(arriving) <= len(leaving) else (leaving, arriving)
             for i in range(len(x)):
                 weight, start = x[i], base_in + base_out + i
                 if weight == 0.0:
@@ -91,20 +72,15 @@ def convolve(ins: Paths, outs: Paths, displacement: Floats, sums: Sums) -> None:
                 row, part = summed[p, max(start, 0) :], y[lower:upper]
                 for j in range(len(part)):
                     row[j] += weight * part[j]
-                # The rest of y is overflow; the running sums give its energy without another loop.
-                sums.overflow[p] += weight * (before[lower] + (before[len(y)] - before[upper]))
     # Sub-bins have served to place each pair; whole bins are what is stored.
     for p in range(pixels):
         for i in range(bins):
-            sums.transient[p, i // SUB_BINS] += summed[p, i]
+            transient[p, i // SUB_BINS] += summed[p, i]
 
 
 @compiled()
 def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
-    """Row r as a histogram: its first sub-bin, energies (n,) from there on, and their running sums (n + 1,).
-
-    The histogram is empty (n = 0) for a row without energy.
-    """
+    """Row r as a histogram: its first sub-bin, and energies (n,) from there on; none for a row without energy."""
     # Only the sub-bins between the shortest and the longest half path: few of the window's, which keeps loops short.
     smallest, largest = np.int64(1) << 60, -(np.int64(1) << 60)
     for k in range(paths.first[r], paths.first[r + 1]):
@@ -115,68 +91,32 @@ def _binned(paths, r, displacement):  # type: ignore[no-untyped-def]
     for k in range(paths.first[r], paths.first[r + 1]):
         if paths.energy[k] > 0.0:
             values[np.int64(math.floor(paths.position[k] + displacement)) - smallest] += paths.energy[k]
-    before = np.zeros(len(values) + 1)
-    for k in range(len(values)):
-        before[k + 1] = before[k] + values[k]
-    return smallest, values, before
+    return smallest, values
 
 
 @compiled()
-def double_sum(ins: Paths, outs: Paths, sums: Sums) -> None:
-    """Add to `sums` every path into a lookin combined with every path out of it (Eq. 8), each pair binned by itself.
+def double_sum(ins: Paths, outs: Paths, transient: Floats, overflow: Floats) -> None:
+    """Add to `transient` (P, T) and `overflow` (P,) every path into a lookin with every path out of it (Eq. 8).
 
-    The plain version of `convolve` for one laser point, against which tests hold that function. `sums` holds (P, T)
-    and (P,) arrays. Here positions count whole bins from the start of the window.
+    Each pair is binned by itself, as the paper does it; tests hold `convolve` against it. Here positions count whole
+    bins from the start of the window.
     """
-    pixels = sums.transient.shape[0]
+    pixels, bins = transient.shape
     for b in range(len(ins.first) - 1):
         for p in range(pixels):
             r = b * pixels + p
             for i in range(ins.first[b], ins.first[b + 1]):
                 for j in range(outs.first[r], outs.first[r + 1]):
-                    energy = ins.energy[i] * outs.energy[j]
-                    if energy > 0.0:
-                        position = ins.position[i] + outs.position[j]
-                        sums.overflow[p] += add_to_bin(sums.transient[p], position, energy)
+                    position, energy = ins.position[i] + outs.position[j], ins.energy[i] * outs.energy[j]
+                    if 0.0 <= position < bins:
+                        transient[p, int(position)] += energy
+                    else:
+                        overflow[p] += energy
 
 
-@compiled()
 def keep_strongest(paths: Paths, count: int) -> None:
     """Set the energy of all but the `count` strongest paths of each row to zero."""
-    for r in range(len(paths.first) - 1):
-        row = paths.energy[paths.first[r] : paths.first[r + 1]]
-        if len(row) <= count:
-            continue
-        threshold = _ranked(row.copy(), len(row) - count)
-        # Paths as strong as the threshold fill the places that stronger ones leave, so that exactly `count` remain.
-        room = count
-        for k in range(len(row)):
-            room -= row[k] > threshold
-        for k in range(len(row)):
-            if row[k] == threshold and room > 0:
-                room -= 1
-            elif row[k] <= threshold:
-                row[k] = 0.0
-
-
-@compiled()
-def _ranked(values: Floats, rank: int) -> float:
-    """The value at index `rank` of the sorted values; reorders `values`.
-
-    Hoare, "Algorithm 65: Find", Communications of the ACM 4 (1961). `numpy.partition` takes ten times as long to
-    compile.
-    """
-    low, high = 0, len(values) - 1
-    while low < high:
-        # Values on the wrong side of the pivot change places; then only the side that holds the rank is searched.
-        pivot, i, j = values[(low + high) // 2], low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i, j = i + 1, j - 1
-        low, high = (low, j) if rank <= j else (i, high) if rank >= i else (rank, rank)
-    return float(values[rank])
+    for first, end in pairwise(paths.first):
+        row = paths.energy[first:end]
+        if len(row) > count:
+            row[np.argpartition(row, len(row) - count)[: len(row) - count]] = 0.0
