@@ -35,22 +35,13 @@ class LightStream(IntEnum):
     their further numbers always differ, or where they are meant to draw alike.
     """
 
-    TRIAL = 0
-    COSINE_DIRECTIONS = 1
-    AREA_POINTS = 2
-    WALK_STEPS = 3
-    LASER_POINTS = 4
-    FOV_POINTS = 16
     BEAM = 17
     FACTORISED_FOV_POINTS = 32
     FACTORISED_FIRST = 33
     FACTORISED_SECOND = 34
     FACTORISED_LIT = 35
-    FACTORISED_WALKS = 36
-    TARGET_HALVES = 48
     CLUSTERS = 64
     PATCHES = 65
-    PAIR_CLUSTERS = 66
     BLOCKS = 80
     PATHS = 81
     SAMPLED_PATHS = 96

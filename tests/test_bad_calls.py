@@ -23,7 +23,7 @@ TIME = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
 LASER = dg.Laser(EYE, [(0, -0.2, 1)])
 SENSOR = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, columns=2)
 CAPTURE = dg.Capture(LASER, SENSOR, TIME)
-FEW = dg.Accuracy(lookins=16, fov_samples=1)
+FEW = dg.Accuracy(samples=16)
 SPAD, EXPOSURE = dg.Spad(), dg.Exposure()
 WHITE = dg.Lambertian(0.8)
 
@@ -69,12 +69,6 @@ def transient(**other: Any) -> dg.Transient:
     return dg.Transient(**fields | {"laser_points": np.zeros((1, 3))} | other)
 
 
-def spend(**other: Any) -> dg.Spend:
-    of = {"lookins": {"primary": 16.0}, "share": {"primary": 1.0}, "way": {"primary": "walk"}}
-    rest = {"fov_samples": {"primary": 4}, "rounds": 1, "cost": 1e3, "outcome": "done"}
-    return dg.Spend(**of | rest | other)
-
-
 TRIANGLE = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0)])
 MESH = wall().mesh
 Arguments = dict[str, list[Any]]
@@ -110,10 +104,7 @@ WRONG: dict[str, Callable[[], tuple[Callable[..., object], dict[str, Any], Argum
     "Transient": lambda: (transient, {}, {
         "time": [64], "components": [[LIGHT], {}, {"primary": LIGHT.tolist()}, {"primary": LIGHT[..., 1:]}],
         "parts": [{"box": LIGHT[:, :1]}], "stderr": [None], "overflow": [LIGHT], "laser_points": [np.zeros((1, 2))],
-        "seconds": [{"trace": "1 s"}], "rays": [[3]], "spend": [3], "error_bound": ["1 %"], "met_target": ["yes"]}),
-    "Spend": lambda: (spend, {}, {
-        "lookins": [[3]], "share": [{"primary": "all"}], "way": [{"primary": 3}, {"secondary": "walk"}],
-        "rounds": [1.5], "cost": ["much"], "outcome": [None]}),
+        "seconds": [{"trace": "1 s"}], "rays": [[3]], "samplers": [{"primary": 3}], "error_bound": ["1 %"], "met_target": ["yes"]}),
     "Sample": lambda: (dg.Sample, {"index": 0, "arrays": {}, "parameters": {}, "seconds": {}}, {
         "index": ["first"], "arrays": [[LIGHT], {"depth": [[1.0]]}], "parameter": [None, {"x": [1]}],
         "seconds": [{"scene": "long"}]}),
@@ -152,7 +143,6 @@ ALONE: dict[str, tuple[str, Callable[[], object]]] = {
     "rectangle without height": ("right and up", lambda: dg.Rectangle.of((0, 0, 0), (1, 0, 0), (0, 0, 0))),
     "confocal of two pixels": ("confocal", lambda: dg.Capture(LASER, SENSOR, TIME, "confocal")),
     "confocal flood": ("illumination", lambda: dg.Capture(LASER, SENSOR, TIME, "confocal", "flood")),
-    "ways of others": ("Spend.way", lambda: spend(way={"secondary": "walk"})),
     "mean without a time axis": ("time", lambda: dg.expected_histogram(np.zeros(64), None, SPAD, EXPOSURE)),
     "configuration of None": ("path", lambda: dg.load_config(None)),
     "scenes of a fraction": ("--scenes", lambda: config().with_scenes(2.5)),
@@ -235,7 +225,7 @@ def test_what_is_usual_is_not() -> None:
     assert dg.SceneConfig(contents=()).contents == () and dg.EffectsConfig().tolerance > 0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = dg.simulate(room(), CAPTURE, dg.Accuracy(lookins=1024), seed=np.int64(3))
+        found = dg.simulate(room(), CAPTURE, dg.Accuracy(samples=1024), seed=np.int64(3))
         dg.Sensor(EYE, SENSOR.pixels.tolist(), np.float32(0.02))
         dg.TimeAxis(np.int32(64), 1e-10)
         dg.detect(torch.zeros(64), TIME, SPAD, EXPOSURE)

@@ -131,7 +131,7 @@ def test_physics_page_simulates(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     example = re.findall(r"^```python\n(.*?)^```", TEXTS[ROOT / "docs/physics.md"], re.DOTALL | re.MULTILINE)[0]
     names: dict[str, object] = {}
-    exec(compile(example.replace("lookins=4096", "lookins=128"), "docs/physics.md", "exec"), names)
+    exec(compile(example.replace("target=0.02", "target=0.2"), "docs/physics.md", "exec"), names)
     assert getattr(names["counts"], "shape", None) == (256, 1, 512)
 
 

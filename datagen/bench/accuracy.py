@@ -99,7 +99,8 @@ def measured(
         runs = runs[not rows :]
         found = [run[2] for run in runs]
         mean = Checked(statistics.mean(c.square for c in found), statistics.mean(c.noise for c in found))
-        rows.append(Row(quantity, value, *(statistics.median(run[k] for run in runs) for k in (0, 1)), mean))
+        taken, claimed = statistics.median(run[0] for run in runs), statistics.median(run[1] for run in runs)
+        rows.append(Row(quantity, value, taken, claimed, mean))
     used, there = len(capture.laser.targets), len(whole.laser.targets)
     points = f"{used} of its {there} laser points" if used < there else f"laser points: {there}"
     lines = [

@@ -63,7 +63,7 @@ class PlainPaths:
         samples: int,
         seed: int = 0,
         pairs: Ints | None = None,
-    ) -> PlainPaths:
+    ) -> PlainPaths:  # fmt: skip
         """The components of an accuracy, and the primary by part, with `samples` paths of each pair in each run."""
         problem = Problem.of(scene, capture, accuracy, seed, split_parts=True)
         rows = Rows.of_components(problem, problem.components)

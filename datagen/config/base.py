@@ -102,7 +102,7 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
     match problem:
         case "extra_forbidden":
             known = sorted({name for one in models for name in one.model_fields})
-            gone = next((one.gone[location[-1]] for one in models if location[-1] in getattr(one, "gone", {})), "")
+            gone = next((str(w) for one in models if (w := getattr(one, "gone", {}).get(location[-1]))), "")
             hint = gone or near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
             return f"{key and f'{key}.'}{location[-1]}: unknown key; {hint}"
         case "missing":

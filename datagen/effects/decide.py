@@ -26,7 +26,7 @@ EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """All effects, in the order in which light meets them."""
 
 PILOT_SAMPLES = 64
-"""Paths of each pair of laser point and pixel of the transient for which the detector's effects are decided if none is given."""
+"""Paths of each pair of the transient for which the detector's effects are decided if none is given."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def plan_effects(
     accuracy : the accuracy of the transport; left out, `Accuracy()`.
     spad, exposure : the detector; left out, only the transport's effects are decided.
     settings : tolerance, and `on`, `off` or `auto` for each effect; left out, all are `auto`.
-    transient : the light that reaches the detector; left out, it is estimated with `PILOT_SAMPLES` paths of each pair.
+    transient : the light that reaches the detector; left out, it is estimated by `PILOT_SAMPLES` paths a pair.
     tolerance : that of `detect`, the largest relative bias of a cheaper sampler.
     seed : seed of the trial run; the same arguments give the same decisions.
 

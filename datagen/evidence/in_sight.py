@@ -27,8 +27,8 @@ from datagen.transport.visibility.lines_of_sight import lines_of_sight
 from datagen.transport.visibility.raycast import Raycaster
 
 SAMPLES = 1024
-"""Paths of each pair of laser point and pixel where the accuracy states a target. Light of one bounce is exact with any
-number; two and three bounces are far fainter."""
+"""Paths of each pair of laser point and pixel where the accuracy states a target. Light of one bounce is exact with
+any number; two and three bounces are far fainter."""
 LINES_ALONG = 9
 """Lines of sight along each side of a pixel that search for objects in it; rays to triangles find smaller ones."""
 MOST_RAYS = 4096

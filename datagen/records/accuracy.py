@@ -98,8 +98,8 @@ class Accuracy:
                 check_number("Accuracy", name, getattr(self, name), *TARGETS, "a relative L2 error; 2 % is 0.02")
         if self.target is not None and self.samples is not None:
             raise InputError(
-                f"Accuracy.samples = {self.samples!r}: given together with Accuracy.target = {self.target!r}; leave out "
-                "one of them: a target decides the effort, samples fix it"
+                f"Accuracy.samples = {self.samples!r}: given together with Accuracy.target = {self.target!r}; leave "
+                "out one of them: a target decides the effort, samples fix it"
             )
         if self.samples is None and self.target is None:
             object.__setattr__(self, "target", TARGET)

@@ -3,10 +3,10 @@
 A block serves one group of neighbouring laser points and pixels. It draws front vertices x from the mixture of the
 BRDFs at the group's laser points, and back vertices y from the mixture at its FoV points, and joins each of them to
 all laser points (FoV points). A shadow ray for each leg tells which see it, and with that the densities Q(x), Q(y) of
-the mixtures. Pairs (x, y) are kept with a chance p in proportion to a guess of their light, some thousands of all. Two
-more ways find y as the end of a BRDF ray from x, and x as the end of one from y; they bound the 1/R² of surfaces that
-touch. A path counts, for all pairs of laser point and pixel at once, with its integrand over the expected number of
-times that all ways find it (the balance heuristic, Veach & Guibas, SIGGRAPH 1995), which for four bounces is
+the mixtures. Pairs (x, y) are kept with a chance p in proportion to a guess of their light, some thousands of all.
+Two more ways find y as the end of a BRDF ray from x, and x as the end of one from y; they bound the 1/R² of surfaces
+that touch. A path counts, for all pairs of laser point and pixel at once, with its integrand over the expected number
+of times that all ways find it (the balance heuristic, Veach & Guibas, SIGGRAPH 1995), which for four bounces is
 
     D = p F² Q(x) Q(y) + n Q(x) mean_l pdf(l, x → y) cosθ_y/R² + n Q(y) mean_p pdf(p, y → x) cosθ_x/R²
 
@@ -85,6 +85,13 @@ class Ends(NamedTuple):
     gain: Floats
     leg: Floats
     chance: Floats
+
+    def take(self, which: Ints, chance: Floats) -> Ends:
+        """Some of the ends, with chances of their own."""
+        return Ends(
+            self.position[which], self.normal[which], self.back[which], self.part[which], self.gain[which],
+            self.leg[which], chance,
+        )  # fmt: skip
 
 
 class Vertices(NamedTuple):
@@ -360,7 +367,7 @@ def _tally(kind, values, clock, front, back, x, y, of_x, of_y, draws, onward, fu
     """Adds the light of all pairs of ends by way of the vertices x[a], y[b].
 
     clock : bins for each metre, first bin, attenuation. front, back : the ends. of_x, of_y : legs and brightness.
-    draws : of a pair by the way of pairs. onward : rays on from vertices. full : guess from which on pairs are certain.
+    draws : of a pair by the way of pairs. onward : rays on from vertices. full : guess of pairs that are certain.
     """
     (legs_x, bright_x), (legs_y, bright_y), (per, start, air) = of_x, of_y, clock
     own_x, own_y = np.empty(legs_x.light.shape[1], np.float32), np.empty(legs_y.light.shape[1], np.float32)
@@ -427,8 +434,9 @@ def _both(one: Any, two: Any) -> Any:
 def _chances(error: Floats) -> Floats:
     """Chances in proportion to errors, but for a share that is even: where an error is far too low, an end still
     weighs at most 1 / `EVENLY` times as much as without aim."""
+    even = np.full(len(error), 1.0 / len(error))
     total = float(error.sum())
-    return EVENLY / len(error) + (1 - EVENLY) * (error / total if total > 0 else 1.0 / len(error))
+    return EVENLY * even + (1 - EVENLY) * (error / total if total > 0 else even)
 
 
 def _neighbours(points: Floats, most: int) -> list[Ints]:
@@ -462,7 +470,7 @@ class Blocks:
         leg = np.where(exists, points.leg, 0.0)
         self.lasers = Ends(
             np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            exists * np.exp(-self.air * leg), leg * (axis.origin == "source"), np.empty(0),
+            np.where(exists, np.exp(-self.air * leg), 0.0), leg * (axis.origin == "source"), np.empty(0),
         )  # fmt: skip
         middle = self.fov_points(np.arange(P), np.full((P, 1, 2), 0.5), 1.0)
         self.unit = float(middle.gain.max()) or 1.0
@@ -491,7 +499,10 @@ class Blocks:
         gain = np.where(found.part >= 0, found.weight * np.exp(-self.air * leg) / unit, 0.0)
         leg *= capture.time.origin == "source"
         back = np.broadcast_to(found.to_sensor, found.position.shape)
-        return Ends(*map(in_sets, (found.position, found.normal, back, found.part, gain, leg)), np.empty(0))
+        return Ends(
+            in_sets(found.position), in_sets(found.normal), in_sets(back), in_sets(found.part), in_sets(gain),
+            in_sets(leg), np.empty(0),
+        )  # fmt: skip
 
     def add(self, group: int, replicate: int, number: int, last: int, histogram: Floats32) -> float:
         """Add a block of four bounces, or of all orders from five to `last`, to the histograms of a group.
@@ -516,7 +527,7 @@ class Blocks:
         error : (H,) errors of the group's histograms. One laser point at a corner may have nearly all of the error;
         it would get one in as many vertices as there are laser points.
         """
-        lasers, pixels, _ = self.groups[group]
+        lasers = self.groups[group].lasers
         table = error.reshape(1, -1) if self.problem.capture.pairing == "confocal" else error.reshape(len(lasers), -1)
         by_laser, by_pixel = error if len(table) == 1 and len(lasers) > 1 else table.sum(axis=1), table.sum(axis=0)
         self._chances[group, min(last, 5)] = _chances(by_laser), _chances(by_pixel)
@@ -527,7 +538,7 @@ class Blocks:
         rng, L, P = work.rng, len(lasers), len(pixels)
         even = np.full(L, 1.0 / L), np.full(P, 1.0 / P)
         of_lasers, of_pixels = self._chances.get((group, min(last, 5)), even)
-        front = Ends(*(np.ascontiguousarray(of[lasers]) for of in self.lasers[:-1]), of_lasers)
+        front = self.lasers.take(lasers, of_lasers)
         # The sets of a pixel are a lattice with a shift of its own: evenly spread, and each point uniform.
         uv = (rng.random((P, 1, 2)) + LATTICE) % 1.0
         back = self.fov_points(pixels, uv, self.unit)._replace(chance=of_pixels)

@@ -52,10 +52,14 @@ class Source(Protocol):
     first : blocks of each replicate and group in the pilot. can_blur : whether bins may be spread over boxes.
     """
 
-    histograms: list[Ints]
-    unit: float
-    first: int
-    can_blur: bool
+    @property
+    def histograms(self) -> list[Ints]: ...
+    @property
+    def unit(self) -> float: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def can_blur(self) -> bool: ...
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add block `number` of a replicate to the light (H, T + 2) of a group, whose first and last column take what
@@ -68,8 +72,8 @@ class Source(Protocol):
 class Sampled(NamedTuple):
     """Sampled light, by component.
 
-    light : (H, T) photons. error : L2 error, photons. variance : (H, T) squared standard errors. outside : (H,) photons
-    outside the window. cost : shadow rays.
+    light : (H, T) photons. error : L2 error, photons. variance : (H, T) squared standard errors. outside : (H,)
+    photons outside the window. cost : shadow rays.
     """
 
     light: dict[str, Floats]
@@ -89,8 +93,10 @@ class Sampled(NamedTuple):
     def replaced_by(self, other: Sampled) -> Sampled:
         """The same with the components that `other` has, whose costs are added."""
         cost = {name: cost + other.cost.get(name, 0.0) for name, cost in self.cost.items()}
-        joined = [mine | others for mine, others in zip(self[:-1], other[:-1], strict=True)]
-        return Sampled(*joined, cost)  # type: ignore[arg-type]
+        return Sampled(
+            self.light | other.light, self.error | other.error, self.variance | other.variance,
+            self.outside | other.outside, cost,
+        )  # fmt: skip
 
 
 def sample_to_target(
@@ -130,7 +136,7 @@ def sample_to_target(
 
 
 def is_enough(error: float, own: float, whole: float, target: float) -> bool:
-    """Whether a component's L2 error is not far above what is asked of it; `own` and `whole` are L2 norms of light."""
+    """Whether a component's L2 error is not far above what is asked; `own` and `whole` are L2 norms of light."""
     return error <= FAR * max(OWN * own, SHARE * target * whole)
 
 
@@ -200,7 +206,7 @@ class _Unit:
 
 
 def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Floats]:
-    """Mean (H, T) of replicates (R, H, T), the estimated square of its L2 error, and variances (H, T) of the plain mean.
+    """Mean (H, T) of replicates (R, H, T), the estimated square of its L2 error, and variances of the plain mean.
 
     Each window of bins is spread over boxes of the width of least error. The widths that even replicates choose are
     judged by the odd ones, and vice versa.

@@ -33,3 +33,7 @@ class LaserPoints(NamedTuple):
         position = np.where(hits.valid[:, None], hits.position, np.nan)
         to_laser = -span / np.linalg.norm(span, axis=1, keepdims=True)
         return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
+
+    def take(self, lasers: Ints) -> LaserPoints:
+        """The laser points with the given indices, which may repeat."""
+        return LaserPoints._make(values[lasers] for values in self)

@@ -58,9 +58,7 @@ def with_samples(problem: Problem) -> Estimate:
 
 def _most(max_bounces: int | None, order: int) -> int | None:
     """Most bounces of paths whose highest wanted order is `order`, where 5 stands for all beyond."""
-    if order == 5 or max_bounces is None:
-        return max_bounces if order == 5 else order
-    return min(max_bounces, order)
+    return max_bounces if order == 5 else order
 
 
 @dataclass
@@ -83,7 +81,7 @@ class PathsOf:
         self.pairs = pairs_of(self.problem.capture)
         self.histograms = [np.arange(len(self.pairs))]
         self.rows = Rows.of_components(self.problem, (self.component,))
-        # What a pixel collects of light of 1 W/m² at the wall, about: light in this unit has room in single precision.
+        # About what a pixel collects of light of 1 W/m² at the wall: in this unit light has room in single precision.
         self.unit = self.problem.capture.sensor.aperture_area_m2 * float(self.problem.cones.solid_angle.max())
         # Parts have to add up to the whole.
         self.can_blur = self.rows.count == 1
@@ -152,7 +150,7 @@ class Rows:
     @property
     def count(self) -> int:
         """Number of rows."""
-        return max(rows.stop for rows in self.names.values())
+        return int(max(rows.stop for rows in self.names.values()))
 
     def light(self, problem: Problem, pairs: Ints, samples: int, stream: tuple[int, ...]) -> Floats:
         """(rows, n, T + 2) light of n pairs; the first and last column are what comes before and after the window.

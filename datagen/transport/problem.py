@@ -1,4 +1,4 @@
-"""The problem that every sampler solves, scene and capture as arrays for compiled loops; and the form of its answer."""
+"""The problem that every sampler solves, as arrays for compiled loops; and the form of its answer."""
 
 from __future__ import annotations
 

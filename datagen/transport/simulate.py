@@ -214,7 +214,7 @@ class _Samples(NamedTuple):
 
 
 def _joined(problem: Problem, primary: PrimaryLight | str, samples: _Samples) -> Estimate:
-    """One estimate from the primary by quadrature, or the words why it is sampled, too, and the sampled components."""
+    """One estimate from the primary by quadrature, or the words why it is sampled, and the sampled components."""
     shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target
     assert target is not None
     light = {name: of.reshape(shape) for name, of in found.light.items()}
@@ -234,7 +234,7 @@ def _joined(problem: Problem, primary: PrimaryLight | str, samples: _Samples) ->
         by_paths = sources["primary"]
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
-    relative = error / (l2_norm(sum(light.values())) or 1.0)
+    relative = error / (l2_norm(sum(light.values(), start=np.zeros(shape))) or 1.0)
     met = relative <= MET * target and all(own <= problem.accuracy.each_part for own in part_errors.values())
     return Estimate(
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,

@@ -24,7 +24,7 @@ def test_the_example_learns_and_is_drawn(
 ) -> None:
     values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
     values["capture"]["scan"] |= {"rows": 8, "columns": 8}
-    values["transport"] = {"lookins": 64, "fov_samples": 1}
+    values["transport"] = {"samples": 64}
     small = config_from_mapping(values)
     monkeypatch.setattr(datagen, "load_config", lambda path: small)
     monkeypatch.syspath_prepend(str(SCRIPT.parent))

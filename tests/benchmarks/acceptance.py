@@ -56,9 +56,9 @@ def foreign(scenes: int, first: int) -> Iterator[tuple[str, dg.Scene, dg.Capture
 
 
 class Case(NamedTuple):
-    """A scene measured. seconds, claimed : of one run. found : true error of the whole. energies : component → ratio of
-    its energy to that of paths, standard error of the latter, and sampler. objects : claimed and true error of each
-    object with more than 1e-4 of the light whose true error is known."""
+    """A scene measured. seconds, claimed : of one run. found : true error of the whole. energies : component → ratio
+    of its energy to that of paths, standard error of the latter, and sampler. objects : claimed and true error of
+    each object with more than 1e-4 of the light whose true error is known."""
 
     name: str
     seconds: float
@@ -104,7 +104,7 @@ def is_known(found: Checked, claimed: float) -> bool:
 
 
 def summary(cases: list[Case], target: float) -> str:
-    """What became of claims and target: medians and 95 % of true over claimed error, and of claims over the target."""
+    """What became of claims and target: medians and 95 % of true over claimed error, of claims over the target."""
     wholes = [(c.claimed, c.found.error) for c in cases if is_known(c.found, c.claimed) and c.claimed > 0]
     lines = [f"{len(cases)} scenes, {sum(c.seconds for c in cases):.1f} processor s"]
     for what, pairs in (("wholes", wholes), ("objects", [pair for c in cases for pair in c.objects])):

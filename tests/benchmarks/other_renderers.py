@@ -26,7 +26,6 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor, TimeAxis
 from datagen.records.arrays import Floats
-from datagen.transport.binning import add_to_bin
 from datagen.units import path_from_time
 
 OLDEST_LLVM = 16
@@ -253,4 +252,5 @@ def _quadrature(
                 cosines = to_wall * to_plate
                 energy = scale * (cosines / (square * square)) ** 2
                 position = 2.0 * math.sqrt(square) * per_metre - start
-                add_to_bin(out[p], position, energy)
+                if 0.0 <= position < out.shape[1]:
+                    out[p, int(position)] += energy

@@ -21,7 +21,7 @@ CONFIG = """
 name: tiny
 scenes: 3
 capture: {scan: {rows: 2, columns: 2}, time: {bins: 64, bin_width_ps: 800}}
-transport: {lookins: 64, fov_samples: 1}
+transport: {samples: 64}
 detector: {photons_per_pulse: 1000.0}
 labels: {rows: 8, columns: 8}
 store: {scenes_per_shard: 2}

@@ -32,7 +32,7 @@ def beside_a_quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
     values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
     values["scenes"] = 12
     values["capture"]["scan"] |= {"rows": 8, "columns": 8}
-    values["transport"] = {"lookins": 64, "fov_samples": 1}
+    values["transport"] = {"samples": 64}
     datagen.build(config_from_mapping(values), folder / "out/quickstart.zarr", progress=False)
     return folder
 

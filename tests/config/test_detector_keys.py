@@ -63,7 +63,7 @@ SMALL = """\
 scenes: 1
 capture: {{scan: {{rows: 1, columns: 2}}, time: {{bins: 64, bin_width_ps: {width}}}}}
 detector: {{mode: free_running, tdc_edges_ps: {edges}}}
-transport: {{lookins: 4, replicates: 1}}
+transport: {{samples: 4}}
 """
 
 

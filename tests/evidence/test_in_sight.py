@@ -46,7 +46,7 @@ def test_one_bounce_in_closed_form() -> None:
     """A laser point on a plate inside a pixel: ρ/π cosθ A/R² photons, and no other light."""
     at = np.array([0.4, 0.6, 0.0])
     scene, looked = dg.Scene.from_parts([plate()]), capture([tuple(at)], [tuple(at)])
-    found = evidence(scene, looked, dg.Accuracy(lookins=64, fov_samples=1, max_bounces=3, direct=True))
+    found = evidence(scene, looked, dg.Accuracy(samples=64, max_bounces=3, direct=True))
     span = EYE - at
     cosine = span[0] / np.linalg.norm(span)
     photons = 0.6 / np.pi * cosine * looked.sensor.aperture_area_m2 / (span @ span)
@@ -75,7 +75,7 @@ def test_evidence_is_the_loss_of_detections_without_the_object(case: str, illumi
         [(0.4, 0.3, -0.3), (0.9, 0.9, -0.3), (0.9, 0.9, 0.3), (0.4, 0.3, 0.3)], [(0, 1, 2), (0, 2, 3)], process=False
     )
     scene = dg.Scene.from_parts([WALL, dg.Part("plate", turned, dg.Lambertian(0.6))])
-    accuracy = dg.Accuracy(lookins=8192, fov_samples=16, max_bounces=3, direct=direct)
+    accuracy = dg.Accuracy(samples=8192, max_bounces=3, direct=direct)
     means = [
         dg.expected_histogram(dg.simulate(s, looked, accuracy, seed=2).total, TIME, IDEAL, EXPOSURE).sum()
         for s in (scene, scene.without("plate"))
@@ -91,8 +91,8 @@ def test_with_a_target_all_light_is_counted_as_well() -> None:
     scene = dg.Scene.from_parts([WALL, plate()])
     looked = capture(*CASES["a scan of both"])
     by_target = evidence(scene, looked, dg.Accuracy(target=0.05, direct=True, max_bounces=3))
-    by_lookins = evidence(scene, looked, dg.Accuracy(lookins=8192, fov_samples=16, direct=True, max_bounces=3))
-    assert by_target.detections == pytest.approx(by_lookins.detections, rel=1e-3)
+    by_samples = evidence(scene, looked, dg.Accuracy(samples=8192, max_bounces=3, direct=True))
+    assert by_target.detections == pytest.approx(by_samples.detections, rel=1e-3)
     three = dg.own_evidence(dg.simulate(scene, looked, dg.Accuracy(target=0.05, direct=True)), IDEAL, EXPOSURE)
     assert by_target.detections > 20 * three["plate"].detections
 
@@ -102,7 +102,7 @@ def test_light_of_several_objects_is_separated() -> None:
     other = dg.Part("other", rectangle((0.4, 1.6, 0), (0, 0.3, 0), (0, 0, 0.3)), dg.Lambertian(0.6))
     scene = dg.Scene.from_parts([plate(), other])
     looked = capture([(0.4, 0.6, 0.0), (0.4, 1.6, 0.0)], [(0.4, 0.6, 0.0), (0.4, 1.6, 0.0)], pairing="confocal")
-    found = light_in_sight(scene, looked, dg.Accuracy(lookins=64, fov_samples=1, max_bounces=3, direct=True))
+    found = light_in_sight(scene, looked, dg.Accuracy(samples=64, max_bounces=3, direct=True))
     assert found["plate"][0].sum() > 0 and found["plate"][1].sum() == 0
     assert found["other"][1].sum() > 0 and found["other"][0].sum() == 0
 
@@ -134,14 +134,14 @@ def test_scenes_of_ready_configurations_hide_their_objects() -> None:
 def test_datasets_store_evidence_of_objects_in_plain_sight(tmp_path: Path) -> None:
     scene, looked = dg.Scene.from_parts([WALL, plate()]), capture(*CASES["a scan of both"])
     settings = {
-        "transport": {"lookins": 2048, "fov_samples": 8, "direct": True, "max_bounces": 3},
+        "transport": {"samples": 2048, "direct": True, "max_bounces": 3},
         "detector": {"mode": "ideal", "cycles": 10_000, "photons_per_pulse": 1e9},
         "store": {"histogram_dtype": "uint32"},
     }
     dg.build_from([scene], tmp_path / "set", looked, settings=settings, progress=False)
     data = dg.TransientDataset(tmp_path / "set", ("histogram",), counts="stored")
     stored = float(data.parameters("evidence.plate.detections")[0])
-    wanted = evidence(scene, looked, dg.Accuracy(lookins=2048, fov_samples=8, direct=True, max_bounces=3))
+    wanted = evidence(scene, looked, dg.Accuracy(samples=2048, max_bounces=3, direct=True))
     pde = float(data.parameters("detector.pde")[0])
     assert stored == pytest.approx(wanted.detections * pde / IDEAL.pde, rel=1e-3)
     assert stored > 0.9 * float(data[0]["histogram"].sum())

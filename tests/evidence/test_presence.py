@@ -111,7 +111,7 @@ def test_significance_is_within_its_floor_of_the_truth(albedo: float, target: fl
 def test_errors_are_no_evidence() -> None:
     """A plate that no light reaches has no significance above its floor, even with so few samples that two
     simulations differ by many σ, and with other random numbers for each scene, which is the worst case."""
-    scene, accuracy = room(), dg.Accuracy(lookins=256, fov_samples=1)
+    scene, accuracy = room(), dg.Accuracy(samples=256)
     exposure = replace(EXPOSURE, cycles=10**7)
     pair = [dg.simulate(scene, capture(), accuracy, seed=seed) for seed in (1, 2)]
     a, b = (dg.expected_histogram(of.total, of.time, IDEAL, exposure) for of in pair)
@@ -125,7 +125,7 @@ def test_errors_are_no_evidence() -> None:
 
 
 def test_with_one_replicate_the_floor_is_unknown() -> None:
-    found = presence(room(), dg.Accuracy(lookins=256, fov_samples=1, replicates=1))
+    found = presence(room(), dg.Accuracy(samples=256))
     assert found.significance > 0 and np.isnan(found.floor)
 
 

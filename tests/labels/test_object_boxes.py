@@ -77,7 +77,7 @@ def spec(**more: Any) -> dict[str, Any]:
             ],
         },
         "capture": {"scan": {"rows": 1, "columns": 1}, "time": {"bins": 32}},
-        "transport": {"lookins": 16, "replicates": 1},
+        "transport": {"samples": 16},
         "store": {"fields": ["objects"]}, **more,
     }  # fmt: skip
 

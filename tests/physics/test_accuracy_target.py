@@ -59,9 +59,9 @@ def test_errors_of_components_scatter_as_their_standard_errors_say() -> None:
 
 @pytest.mark.parametrize("shape", ["broad", "spike"])
 def test_what_boxes_blur_is_part_of_the_error(shape: str) -> None:
-    """Gaussian replicates about a known curve: squared errors are not claimed too small in the mean, though the widths
-    of boxes are chosen by what they are judged by; and too large by less than 2.5 times, as half of the replicates
-    choose widths worse than all of them."""
+    """Gaussian replicates about a known curve: squared errors are not claimed too small in the mean, though the
+    widths of boxes are chosen by what they are judged by; and too large by less than 2.5 times, as half of the
+    replicates choose widths worse than all of them."""
     rng, bins = np.random.default_rng(3), 240
     truth = np.exp(-0.5 * ((np.arange(bins) - 120) / (25 if shape == "broad" else 1.5)) ** 2)
     true, claimed, plain = [], [], []

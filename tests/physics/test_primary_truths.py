@@ -47,9 +47,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy)
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
 
 
-@pytest.mark.parametrize(
-    "accuracy", [Accuracy(samples=1 << 17, max_bounces=3), BY_ELEMENTS], ids=["paths", "elements"]
-)
+@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_ELEMENTS], ids=["paths", "elements"])
 @pytest.mark.parametrize("side", [5, pytest.param(16, marks=pytest.mark.nightly)])
 def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy) -> None:
     """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
@@ -71,9 +69,7 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_ELEMENTS else 1e-3)
 
 
-@pytest.mark.parametrize(
-    "accuracy", [Accuracy(samples=1 << 17, max_bounces=3), BY_ELEMENTS], ids=["paths", "elements"]
-)
+@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_ELEMENTS], ids=["paths", "elements"])
 def test_an_occluder_casts_an_exact_shadow(accuracy: Accuracy) -> None:
     """A screen halfway hides part of a plate from the laser point and part from the field of view: compared with a
     brute-force integral."""

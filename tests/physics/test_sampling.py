@@ -84,8 +84,7 @@ def test_order_of_convergence() -> None:
     for count in counts:
         runs = [
             float(
-                (r := simulate(scene, capture, Accuracy(samples=int(count), max_bounces=3), seed=s)).total.sum()
-                + r.overflow.sum()
+                (r := simulate(scene, capture, Accuracy(samples=int(count)), seed=s)).total.sum() + r.overflow.sum()
             )
             for s in range(32)
         ]

@@ -25,7 +25,7 @@ from datagen.store.scenes import Scenes
 pytestmark = pytest.mark.usefixtures("builds_here")
 
 CURVED = {"kind": "curved", "relief_m": 0.2}
-FEW = {"lookins": 16, "fov_samples": 1}
+FEW = {"samples": 16}
 
 
 def before_a_wall(relay: dict[str, Any], capture: dict[str, Any], **more: Any) -> DatasetConfig:
@@ -40,7 +40,7 @@ def box_before_a_curved_wall(tmp_path_factory: pytest.TempPathFactory) -> tuple[
     scan = {"rows": 12, "columns": 12, "width_m": 1.2, "height_m": 1.2}
     bright = {"mode": "ideal", "photons_per_pulse": 1e13, "cycles": 10**6}
     config = before_a_wall(
-        CURVED, {"pairing": "confocal", "scan": scan}, transport={"lookins": 2048, "fov_samples": 1},
+        CURVED, {"pairing": "confocal", "scan": scan}, transport={"samples": 2048},
         detector=bright, store={"fields": ["histogram", "transient", "depth"], "histogram_dtype": "uint32"},
     )  # fmt: skip
     root = tmp_path_factory.mktemp("curved") / "set"

@@ -30,7 +30,7 @@ def test_a_laser_that_meets_nothing_has_no_shares_of_work() -> None:
     floor = Scene.from_parts([Part("floor", rectangle((0, 0, -1.5), (1.5, 0, 0), (0, 1.5, 0)), Lambertian(0.5))])
     capture = Capture(Laser((0, 0, 0.0), [[0.2, 0.2, 0.2]]), Sensor((1.0, 0, 0), square_pixels([[0, 0, 0]], 0.1)),
                       bins_of_path(4, 1.0, 0.0))  # fmt: skip
-    result = simulate(floor, capture, Accuracy(1, 1, 3, 1), seed=0)
+    result = simulate(floor, capture, Accuracy(samples=1, max_bounces=3), seed=0)
     assert not result.total.any() and not result.overflow.any()
 
 
@@ -38,7 +38,7 @@ def test_a_pixel_around_the_sensor_is_refused() -> None:
     """Seen from within its own plane a pixel covered half of all directions, and the middle one was 0/0."""
     capture = one_point_capture(fov_center=(1.5, 0.17, 1.33))
     with pytest.raises(InputError, match=r"pixels\[0\].*within the pixel"):
-        simulate(furnished_box(), capture, Accuracy(1, 1, 3, 1))
+        simulate(furnished_box(), capture, Accuracy(samples=1, max_bounces=3))
 
 
 @pytest.mark.parametrize("mode", ["free_running", "synchronous"])

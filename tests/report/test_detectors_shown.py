@@ -34,7 +34,7 @@ def test_the_caption_claims_what_holds(name: str, tmp_path: Path) -> None:
             "seed": 2,
             "scenes": 1,
             "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
-            "transport": {"lookins": 64, "replicates": 2},
+            "transport": {"samples": 64},
             "detector": bright | DETECTORS[name],
             # Nothing left out: a detector without its dead time, say, may have an exact mean.
             "effects": {"tolerance": 0},

@@ -69,7 +69,7 @@ def capture() -> dg.Capture:
     return dg.Capture(dg.Laser(place, points), sensor, dg.TimeAxis(bins=120, width_s=2e-10, origin="wall"))
 
 
-@pytest.mark.parametrize("transport", [{"target": 0.1}, {"lookins": 256, "fov_samples": 2, "max_bounces": None}])
+@pytest.mark.parametrize("transport", [{"target": 0.1}, {"samples": 256, "max_bounces": None}])
 def test_the_background_is_the_room_without_its_objects_bit_for_bit(transport: dict[str, Any]) -> None:
     given = config(transport)
     scene = dg.generate_scene(given.scene, given.seed, 0)

@@ -20,7 +20,7 @@ from datagen.store.info import info
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
-QUICK = {"transport": {"lookins": 64, "fov_samples": 1}, "labels": {"rows": 8, "columns": 8}}
+QUICK = {"transport": {"samples": 64}, "labels": {"rows": 8, "columns": 8}}
 TIME = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
 
 
@@ -128,7 +128,7 @@ def test_a_sheet_on_a_wall_is_labelled_whole_and_brings_a_line(tmp_path: Path) -
     sheet = rectangle((1.5, 1, 0), (0, 0.3, 0), (0, 0, 0.3))
     scene = room_of(dg.Part("sheet", sheet, dg.Lambertian(0.1)), dg.Part("far", far, dg.Lambertian(0.8), "structure"))
     line = r"scene 0: parts 'sheet' and 'far' lie in one place: 'sheet' is taken to lie on 'far'"
-    settings = {"transport": {"lookins": 256, "fov_samples": 1}, "labels": {"rows": 20, "columns": 20}}
+    settings = {"transport": {"samples": 256}, "labels": {"rows": 20, "columns": 20}}
     with pytest.warns(InputWarning, match=line):
         dg.build_from(
             [scene], tmp_path / "sheet", capture(), fields=("transient", "depth", "part_id"), settings=settings,

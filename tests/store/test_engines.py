@@ -153,7 +153,7 @@ class Watched(HereAndNow):
 def growth_mb_a_1000(folder: Path, scenes: int) -> float:
     """Slope of the resident memory over the shards after the first fifth, MB in 1000 scenes."""
     config = config_from_mapping({
-        "scenes": scenes, "transport": {"lookins": 16, "fov_samples": 1, "max_bounces": 3},
+        "scenes": scenes, "transport": {"samples": 16, "max_bounces": 3},
         "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 512, "bin_width_ps": 100}},
         "store": {"fields": ["histogram", "transient"], "scenes_per_shard": 16},
     })  # fmt: skip

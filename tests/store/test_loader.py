@@ -146,7 +146,7 @@ def test_samples_are_those_of_a_build_for_any_number_of_workers(tmp_path: Path) 
         {
             "seed": 5,
             "scenes": 3,
-            "transport": {"lookins": 64, "fov_samples": 1},
+            "transport": {"samples": 64},
             "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
             "labels": {"rows": 4, "columns": 4},
         }

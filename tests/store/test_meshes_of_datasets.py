@@ -23,7 +23,7 @@ CONFIG = """
 scenes: 1
 scene: {contents: [ITEM]}
 capture: {scan: {rows: 2, columns: 3}, time: {bins: 32, bin_width_ps: 1600}}
-transport: {lookins: 16, replicates: 2}
+transport: {samples: 16}
 labels: {rows: 8, columns: 8}
 store: {fields: [histogram, transient, depth]}
 """

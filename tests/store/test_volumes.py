@@ -35,7 +35,7 @@ VOXELS = (5, 6, 7)
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = config_from_mapping({
         "scenes": 8, "capture": {"scan": {"rows": 3, "columns": 4}, "time": {"bins": 96, "bin_width_ps": 500}},
-        "transport": {"lookins": 64, "fov_samples": 1}, "labels": {"rows": 4, "columns": 4},
+        "transport": {"samples": 64}, "labels": {"rows": 4, "columns": 4},
         "detector": {"cycles": 10**6}, "store": {"fields": ["histogram", "transient", "depth"]},
     })  # fmt: skip
     root = tmp_path_factory.mktemp("volumes") / "set"

@@ -20,7 +20,7 @@ from datagen.store.info import info
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
-NOISY = {"lookins": 16, "fov_samples": 1, "replicates": 4}
+NOISY = {"samples": 2}
 CONFIG: dict[str, Any] = {
     "scenes": 3,
     "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 400}},
@@ -32,7 +32,7 @@ def test_a_warning_states_the_noise_and_the_remedy(tmp_path: Path, capfd: pytest
     (tmp_path / "c.yaml").write_text(json.dumps(CONFIG | {"transport": NOISY}))
     assert run(["build", str(tmp_path / "c.yaml"), str(tmp_path / "set"), "--quiet"]) == 0
     out, line = capfd.readouterr()
-    found = re.fullmatch(r"noise: .* is (\d+)% off in the median of 3 scenes .*lookins \(16\).*\n", line)
+    found = re.fullmatch(r"noise: .* is (\d+)% off in the median of 3 scenes .*samples \(2\).*\n", line)
     assert found and "noise" not in out
     errors = dg.TransientDataset(tmp_path / "set").parameters("transient.relative_error")
     assert round(100 * sorted(errors)[1]) == int(found[1]) > 20
@@ -40,7 +40,7 @@ def test_a_warning_states_the_noise_and_the_remedy(tmp_path: Path, capfd: pytest
     assert (again.built, again.noisy) == (0, line.strip())
 
 
-@pytest.mark.parametrize("transport", [{"target": 0.1}, NOISY | {"replicates": 1}])
+@pytest.mark.parametrize("transport", [{"target": 0.1}, {"samples": 1}])
 def test_no_warning_if_the_light_is_accurate_or_its_error_unknown(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], transport: dict[str, Any]
 ) -> None:
@@ -66,26 +66,26 @@ def configured(**transport: object) -> DatasetConfig:
 
 
 def test_counts_beside_a_target_and_impossible_targets_are_refused() -> None:
-    for name in ("lookins", "fov_samples", "replicates", "observed"):
-        with pytest.raises(InputError, match=f"target.*{name}|{name}.*target"):
-            configured(target=0.1, **{name: 64})
+    with pytest.raises(InputError, match=r"samples = 64: given together with target"):
+        configured(target=0.1, samples=64)
+    for name, where in (("lookins", "samples"), ("observed", r"datagen\.paper")):
+        with pytest.raises(InputError, match=rf"transport\.{name}: unknown key; .*{where}"):
+            configured(**{name: 64})
     for value in (0.0, 2, -0.1, "fine"):
         with pytest.raises(InputError, match=r"transport\.target"):
             configured(target=value)
 
 
 def test_a_target_reaches_the_simulation_and_the_fingerprint() -> None:
-    config = configured(target=0.1, max_bounces=4, max_lookins=5000)
-    assert config.fingerprint() != configured(target=0.2, max_bounces=4, max_lookins=5000).fingerprint()
+    config = configured(target=0.1, max_bounces=4)
+    assert config.fingerprint() != configured(target=0.2, max_bounces=4).fingerprint()
     accuracy = config.transport.accuracy()
-    assert (accuracy.target, accuracy.max_lookins, accuracy.max_bounces) == (0.1, 5000, 4)
+    assert (accuracy.target, accuracy.samples, accuracy.max_bounces) == (0.1, None, 4)
 
 
 def test_a_dataset_says_whether_its_targets_were_met(tmp_path: Path) -> None:
     build(configured(target=0.3), tmp_path / "targeted", progress=False)
     assert "target met in 2 of 2 scenes" in info(tmp_path / "targeted")
-    build(configured(target=1e-4, max_lookins=2048), tmp_path / "hopeless", progress=False)
-    assert "target met in 0 of 2 scenes" in info(tmp_path / "hopeless")
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_datasets_say_where_their_labels_lie(tmp_path: Path, place: str, says: s
             "scenes": 2,
             "scene": {"layout": {"kind": "isolated_wall", "place": place}, "contents": [{"kind": "box"}]},
             "capture": {"scan": {"rows": 3, "columns": 3}, "time": {"bins": 32, "bin_width_ps": 800}},
-            "transport": {"lookins": 32, "fov_samples": 1},
+            "transport": {"samples": 32},
         }
     )
     dg.build(config, tmp_path / "set", progress=False)

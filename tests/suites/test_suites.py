@@ -23,7 +23,7 @@ name: tiny-1
 scenes: 10
 scene: {layout: {kind: isolated_wall}, contents: [{kind: box}]}
 capture: {scan: {rows: 2, columns: 2}, time: {bins: 32, bin_width_ps: 800}}
-transport: {lookins: 512, fov_samples: 4, replicates: 4}
+transport: {samples: 512}
 labels: {rows: 4, columns: 4, voxels: [2, 2, 2]}
 store: {fields: [histogram, depth]}
 splits: {train: 0.6, val: 0.1, test: 0.3}
@@ -82,7 +82,7 @@ def test_light_within_its_claim_agrees_and_other_light_does_not(tiny: Path, tmp_
     """Of four times as many rays, and so of other last digits; and of half the pulses."""
     config = dg.load_config(tiny / "tiny-1.yaml")
     known = Published.read(tiny / "tiny-1.json")
-    finer = config.model_copy(update={"transport": config.transport.model_copy(update={"lookins": 2048})})
+    finer = config.model_copy(update={"transport": config.transport.model_copy(update={"samples": 2048})})
     agreement = check_agreement(write_dataset(finer, tmp_path / "finer"), known)
     assert 0 < agreement.difference <= agreement.allowed < 0.3
     shorter = config.model_copy(update={"detector": config.detector.model_copy(update={"cycles": 5e5})})

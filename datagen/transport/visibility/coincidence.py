@@ -211,8 +211,8 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
         some = many[:: len(many) // MOST_LOOKED_AT + 1]
         step = max(PAIRS_AT_ONCE // max(len(few), 1), 1)
         batches = [some[k : k + step] for k in range(0, len(some), step)]
-        places = [_common(triangles.take(batch), triangles.take(few)) for batch in batches]
-        places = np.concatenate([np.zeros((0, 3)), *places])
+        found = [_common(triangles.take(batch), triangles.take(few)) for batch in batches]
+        places = np.concatenate([np.zeros((0, 3)), *found])
         if len(places):
             yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
 
@@ -222,7 +222,7 @@ def _beside(triangles: _Triangles, ones: Ints, twos: Ints) -> Ints:
     of_twos = triangles.corners[twos].reshape(-1, 3)
     low, high = triangles.corners[ones].min(axis=1), triangles.corners[ones].max(axis=1)
     touches = (low <= of_twos.max(axis=0) + PLANE) & (high >= of_twos.min(axis=0) - PLANE)
-    return ones[touches.all(axis=1)]
+    return np.asarray(ones[touches.all(axis=1)])
 
 
 def _in_one_plane(planes: Floats, part: NDArray[np.int32]) -> Iterator[tuple[Ints, Ints]]:
