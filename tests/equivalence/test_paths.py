@@ -12,12 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
-from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
+from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 from test_all_ways import CAPTURES, DEVICE, TIME, energies, scene_of
 
-from datagen import Capture, Laser, Scene, Sensor
+from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.records import Transient
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.paths import AT_ONCE, path_light, sample_paths
@@ -111,6 +112,24 @@ def test_pixels_of_uneven_sensitivity() -> None:
     sensor = Sensor(DEVICE, square_pixels(points, 0.15), footprints=shares)
     capture = Capture(Laser(DEVICE, [[0, 0.3, 0.75]]), sensor, TIME)
     hold(scene_of("phong 10", "plate"), capture, max_bounces=3, direct=True)
+
+
+def test_what_stands_before_a_wide_pixel_hides_the_wall_behind() -> None:
+    """A shield before half of a pixel: light that lands behind it stays unseen."""
+    far, device = np.array([0, 0.2, 0.7]), np.array(DEVICE)
+    across = np.array([1.3, 0.6, 0.0]) / np.hypot(1.3, 0.6) * 0.25
+    up = np.cross(across, device - far)
+    shield = rectangle((far + device) / 2 - across, across, up / np.linalg.norm(up) * 0.4)
+    scene = scene_of("phong 60", "plate")
+    parts = [
+        Part(name, trimesh.Trimesh(scene.vertices, scene.triangles[scene.faces_of(name)], process=False), of, role)
+        for name, of, role in zip(scene.part_names, scene.materials, scene.roles, strict=True)
+    ]
+    scene = Scene.from_parts([*parts, Part("shield", shield, Lambertian(0.5))])
+    sensor = Sensor(DEVICE, square_pixels([far], 0.4))
+    capture = Capture(Laser(DEVICE, [[0.5, 0.5, 0]]), sensor, TIME)
+    # Such light would be 3 % more.
+    hold(scene, capture, plain_samples=1 << 18, max_bounces=2, direct=True)
 
 
 def test_a_beam_lights_all_of_its_cells() -> None:
