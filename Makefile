@@ -16,7 +16,7 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
-	bench-detector bench-loaders bench-evidence bench-targets bench-promise bench-peers peers \
+	bench-detector bench-loaders bench-evidence bench-acceptance bench-peers peers \
 	wheel wheel-demo clean
 
 help:
@@ -30,7 +30,7 @@ help:
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -evidence, -targets, -promise, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -96,7 +96,7 @@ nightly: setup
 	$(BIN)/python tests/store/harm_table.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
-bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-targets bench-promise bench-peers
+bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-acceptance bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
@@ -113,11 +113,8 @@ bench-loaders: setup
 bench-evidence: setup
 	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml
 
-bench-targets: setup
-	$(BIN)/python tests/benchmarks/targets.py 100 500 2e6
-
-bench-promise: setup
-	$(BIN)/python tests/benchmarks/promise.py out/promise configs/*.yaml
+bench-acceptance: setup
+	$(BIN)/python tests/benchmarks/acceptance.py ready kept --scenes 60
 
 bench-peers: setup
 	$(BIN)/python tests/benchmarks/peers.py out/peers

@@ -153,6 +153,11 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
     with house_style():
         figure = new_figure(8.0, 5.2)
         axes = figure.subplots()
+        axes.set_title(title, fontsize=10, color=INK)
+        if not rows:
+            # Logarithmic axes cannot be empty.
+            axes.set_axis_off()
+            return save_png(figure, path)
         for quantity, color, name in (("target", "#D55E00", "to a target"), ("samples", "#0072B2", "plain paths")):
             own = [row for row in rows if row.quantity == quantity]
             seen = [row for row in own if row.found.error**2 > 2 * row.found.noise]
@@ -172,7 +177,6 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.margins(0.12)
         axes.legend(fontsize=8)
-        axes.set_title(title, fontsize=10, color=INK)
         return save_png(figure, path)
 
 

@@ -79,7 +79,7 @@ class PlainPaths:
         apart = light.reshape(-1, light.shape[-1])[self.pairs] - truth
         square = cross_products(apart)
         norm = float(np.mean(cross_products(truth)))
-        # Leaving out one run after the other tells the noise (jackknife).
+        # Leaving out one run after the other tells the noise (jackknife), up to half as much again as there is.
         noise = math.sqrt((RUNS - 1) * float(square.var())) if RUNS > 2 else math.nan
         return Checked(float(square.mean()) / norm, noise / norm) if norm > 0 else Checked(0.0, 0.0)
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from functools import wraps
+from typing import Any, TypeVar
 
 from datagen.errors import InputError
 from datagen.records.checks import check_flag, check_integer, check_number
+
+T = TypeVar("T")
 
 MAX_BOUNCES = 64
 LIMITS = {"samples": (1, 2**31), "max_bounces": (1, MAX_BOUNCES)}
@@ -26,6 +29,21 @@ GONE = {
 """Names that earlier versions had → what takes their place."""
 
 
+def _naming_what_is_gone(kind: type[T]) -> type[T]:
+    """The class, whose `__init__` says what has taken the place of a name in `GONE`."""
+    init: Any = kind.__init__
+
+    @wraps(init)
+    def with_check(self: Any, *values: Any, **named: Any) -> None:
+        for name in GONE.keys() & named.keys():
+            raise InputError(f"{kind.__name__}.{name} = {named[name]!r}: is no longer there; {GONE[name]}")
+        init(self, *values, **named)
+
+    kind.__init__ = with_check  # type: ignore[method-assign, assignment]
+    return kind
+
+
+@_naming_what_is_gone
 @dataclass(frozen=True)
 class Accuracy:
     """How accurately the light is simulated: to a `target`, or with so many `samples`.
@@ -66,11 +84,6 @@ class Accuracy:
     secondary: bool = True
     part_target: float | None = None
     faint_part: float = 0.0
-
-    def __new__(cls, *_: object, **given: object) -> Self:
-        for name in GONE.keys() & given.keys():
-            raise InputError(f"Accuracy.{name} = {given[name]!r}: is no longer there; {GONE[name]}")
-        return super().__new__(cls)
 
     @property
     def each_part(self) -> float:

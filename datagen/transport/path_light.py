@@ -58,7 +58,7 @@ def with_samples(problem: Problem) -> Estimate:
 
 def _most(max_bounces: int | None, order: int) -> int | None:
     """Most bounces of paths whose highest wanted order is `order`, where 5 stands for all beyond."""
-    return max_bounces if order == 5 else order
+    return max_bounces if order == 5 else min(order, max_bounces or order)
 
 
 @dataclass

@@ -75,7 +75,7 @@ def test_the_noise_of_the_plain_paths_is_taken_out() -> None:
         ]
         squares = np.array([one.square for one in found])
         assert abs(squares.mean() - error**2) < 4 * squares.std() / np.sqrt(300) + 0.02 * error**2
-        assert np.mean([one.noise for one in found]) == pytest.approx(squares.std(), rel=0.4)
+        assert 0.8 < np.mean([one.noise for one in found]) / squares.std() < 2.0
 
 
 def test_stages(config: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,7 +106,7 @@ def test_fewer_laser_points_keep_their_pixels() -> None:
     [
         (["accuracy", "CONFIG", "OUT", "--scene", "8"], "--scene 8"),
         (["accuracy", "CONFIG", "OUT", "--seconds", "0"], "--seconds 0"),
-        (["accuracy", "CONFIG", "OUT", "--repeats", "1"], "repeats"),
+        (["accuracy", "CONFIG", "OUT", "--repeats", "0"], "repeats"),
         (["accuracy", "CONFIG", "OUT", "--laser-points", "0"], "laser-points"),
         (["accuracy", "CONFIG", "CONFIG"], "tiny.yaml"),
         (["accuracy", "none.yaml", "OUT"], "none.yaml"),

@@ -100,10 +100,6 @@ def test_crosstalk_and_glass_add_to_what_the_pixels_see() -> None:
             "no parallelogram",
             lambda: dg.Sensor(DEVICE, [[(1, 0, 0), (1, 1, 0), (1, 2, 2), (1, 0, 1)]], footprints=np.ones((1, 1, 1))),
         ),
-        (
-            "Accuracy.target = 0.1 with Sensor.footprints",
-            lambda: dg.simulate(scene(), captured(2, footprints=footprints(4)), dg.Accuracy(target=0.1)),
-        ),
         ("Accuracy.max_bounces = 2", lambda: dg.Accuracy(max_bounces=2)),
     ],
 )

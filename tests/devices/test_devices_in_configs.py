@@ -109,7 +109,6 @@ def test_a_file_stands_beside_its_configuration_and_its_map_is_stored(tmp_path: 
             {"capture": {"at_objects": {}, "sensor_offset_m": [0, 0, 0.1]}},
         ),
         ("scene.wavelength_nm = 532 .* 940 nm", {"scene": {"wavelength_nm": 532}}),
-        ("a target is met for zones of even sensitivity only", {"transport": {"target": 0.1}}),
         ("detector_class = 'any' beside capture.device", {"detector": {"detector_class": "any"}}),
         ("bins_merged = 4 beside capture.device", {"detector": {"bins_merged": 4}}),
         ("pulse and pulse_fwhm_ps", {"detector": {"pulse_fwhm_ps": 9, "pulse": {"samples": [1], "sample_ps": 9}}}),

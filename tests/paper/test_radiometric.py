@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from datagen.transport.sampled_paths import sample_paths
 from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
@@ -19,6 +18,7 @@ from datagen.errors import InputError
 from datagen.paper import secondary
 from datagen.paper.convolution import SUB_BINS, Paths, convolve, double_sum, keep_strongest
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.paths import sample_paths
 from datagen.transport.reference import reference
 
 RUNS, LEVEL = 8, 1e-3

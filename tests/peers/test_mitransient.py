@@ -125,6 +125,8 @@ def test_three_and_four_bounces_in_a_furnished_room() -> None:
     compare("4 bounces alone", ours[:, 1], both - three, energy_tolerance=1e-2, largest_noise=0.1)
 
 
+@pytest.mark.peers
+@needs_mitransient
 def test_confocal_plate_three_ways() -> None:
     """A bare plate scanned confocally: quadrature, mitransient at its best, and ours."""
     scan = Rectangle.of((0, 0, 0), (0, 0.4, 0), (0, 0, 0.4))

@@ -34,7 +34,7 @@ def transient(relay: dict[str, Any]) -> Transient:
         }
     )  # fmt: skip
     scene = dg.generate_scene(config.scene, 0, 0)
-    return dg.simulate(scene, dg.capture_for(config, scene), dg.Accuracy(target=0.01), seed=5)
+    return dg.simulate(scene, dg.capture_for(config, scene), dg.Accuracy(samples=8192), seed=5)
 
 
 def ribs(relief_m: float) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def test_a_corrugated_wall_differs_from_a_flat_one_and_tends_to_it() -> None:
     ]
     assert away[0] > 0.1
     assert away[0] > away[1] > away[2] > away[3]
-    assert away[3] < 0.02
+    assert away[3] < 0.06
 
 
 def test_ridges_light_each_other() -> None:
