@@ -39,7 +39,7 @@ def _naming_what_is_gone(kind: type[T]) -> type[T]:
             raise InputError(f"{kind.__name__}.{name} = {named[name]!r}: is no longer there; {GONE[name]}")
         init(self, *values, **named)
 
-    kind.__init__ = with_check  # type: ignore[method-assign, assignment]
+    kind.__init__ = with_check  # type: ignore[method-assign]
     return kind
 
 
