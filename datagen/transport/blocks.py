@@ -531,7 +531,6 @@ class Blocks:
         table = error.reshape(1, -1) if self.problem.capture.pairing == "confocal" else error.reshape(len(lasers), -1)
         by_laser, by_pixel = error if len(table) == 1 and len(lasers) > 1 else table.sum(axis=1), table.sum(axis=0)
         self._chances[group, min(last, 5)] = _chances(by_laser), _chances(by_pixel)
-        self._full.pop((group, min(last, 5)), None)
 
     def _block(self, group: int, last: int, work: _Work) -> None:
         lasers, pixels, _ = self.groups[group]
