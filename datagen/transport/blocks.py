@@ -527,9 +527,10 @@ class Blocks:
         error : (H,) errors of the group's histograms. One laser point at a corner may have nearly all of the error;
         it would get one in as many vertices as there are laser points.
         """
-        lasers = self.groups[group].lasers
-        table = error.reshape(1, -1) if self.problem.capture.pairing == "confocal" else error.reshape(len(lasers), -1)
-        by_laser, by_pixel = error if len(table) == 1 and len(lasers) > 1 else table.sum(axis=1), table.sum(axis=0)
+        by_laser = by_pixel = error
+        if self.problem.capture.pairing != "confocal":
+            table = error.reshape(len(self.groups[group].lasers), -1)
+            by_laser, by_pixel = table.sum(axis=1), table.sum(axis=0)
         self._chances[group, min(last, 5)] = _chances(by_laser), _chances(by_pixel)
 
     def _block(self, group: int, last: int, work: _Work) -> None:

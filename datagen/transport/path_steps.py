@@ -17,7 +17,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
 from datagen.transport.geometry import cross, subtract, transmittance
 from datagen.transport.path_aim import draw_triangle
-from datagen.transport.sampling import BITS, _owen, mix, word_of
+from datagen.transport.sampling import BITS, mix, owen_scrambled, word_of
 from datagen.transport.visibility.raycast import lifted_and_scaled
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
@@ -176,7 +176,7 @@ def draw_numbers(words, seeds, number, out):  # type: ignore[no-untyped-def]
                         x ^= words[d, bit]
                     bit += 1
             before = k
-            out[i, d] = (np.float64(_owen(x, seed)) + 0.5) * 2.0**-BITS
+            out[i, d] = (np.float64(owen_scrambled(x, seed)) + 0.5) * 2.0**-BITS
 
 
 @compiled()

@@ -96,7 +96,7 @@ def _reverse_bits(x: np.uint64) -> np.uint64:
 
 
 @compiled()
-def _owen(x: np.uint64, seed: np.uint64) -> np.uint64:
+def owen_scrambled(x: np.uint64, seed: np.uint64) -> np.uint64:
     """The word under nested uniform scrambling: each bit is flipped by a hash of `seed` and all higher bits."""
     # Products and sums carry only upwards. On the reversed word each bit therefore depends on the lower ones alone,
     # which are the higher ones of `x`.
@@ -119,7 +119,7 @@ def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], ou
             seed = mix(seeds[s], np.uint64(first + d + 1))
             x = np.uint64(0)
             for i in range(count):
-                out[s, i, d] = (np.float64(_owen(x, seed)) + 0.5) * 2.0**-BITS
+                out[s, i, d] = (np.float64(owen_scrambled(x, seed)) + 0.5) * 2.0**-BITS
                 # In Gray-code order the next point differs by one direction number: that of the lowest zero bit of i.
                 bit = 0
                 while (i >> bit) & 1:
