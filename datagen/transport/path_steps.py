@@ -40,12 +40,11 @@ class World(NamedTuple):
     """What the loops need to know of scene, materials and capture.
 
     corners : (F, 3, 3), face_normal : (F, 3), part : (F,) of the triangles. kind, values : the `MaterialTable`.
-    lobed : (K,) whether a part's BRDF has a lobe. attenuation : of air, 1/m. offset : by which ends of rays are
-    lifted off their surfaces, m. frame : (4,) embree's centre and half extent, m. sensor : (3,) position.
-    aperture_area, aperture_square : m²; the latter is the square of the radius, or 0 for a small aperture.
-    from_source : whether the legs of the device count for the time axis. planes, solid_angle : of the pixels' cones.
-    footprints : (P, R, C) sensitivities within pixels, or one cell. into : (P, 3, 3) the matrix from a direction to
-    its place in the pixel.
+    attenuation : of air, 1/m. offset : by which ends of rays are lifted off their surfaces, m. frame : (4,) embree's
+    centre and half extent, m. sensor : (3,) position. aperture_area, aperture_square : m²; the latter is the square
+    of the radius, or 0 for a small aperture. from_source : whether the legs of the device count for the time axis.
+    planes, solid_angle : of the pixels' cones. footprints : (P, R, C) sensitivities within pixels, or one cell. into
+    : (P, 3, 3) the matrix from a direction to its place in the pixel.
     """
 
     corners: Floats
@@ -53,7 +52,6 @@ class World(NamedTuple):
     part: Ints
     kind: Ints | NDArray[np.uint8]
     values: Floats
-    lobed: Bools
     attenuation: float
     offset: float
     frame: Floats
@@ -552,7 +550,7 @@ def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type:
 
 
 @compiled()
-def _photons(values, x, v, solid_angle, by_area, order, judged, lobed):  # type: ignore[no-untyped-def]
+def _photons(values, x, v, solid_angle, by_area, order, judged):  # type: ignore[no-untyped-def]
     """Photons of the path of `order` bounces by way of vertex x and FoV point v in clear air, and the length of the
     leg between them, m.
 
@@ -562,7 +560,7 @@ def _photons(values, x, v, solid_angle, by_area, order, judged, lobed):  # type:
         join: p/Ω     back: pdf_v cosθ_x/R² /Ω     land: p · pdf_x cosθ_v/R² · R_s²/cosθ_s
 
     by_area : density with which v is drawn by area after the laser point. judged : whether visibility counts; else
-    paths are only joined, without asking what stands between. lobed : whether the BRDF at x has a lobe.
+    paths are only joined, without asking what stands between.
     """
     w, r = _toward(x.position, v.position)
     cos_x, cos_v, square = dot(x.normal, w), -dot(v.normal, w), r * r
@@ -573,7 +571,7 @@ def _photons(values, x, v, solid_angle, by_area, order, judged, lobed):  # type:
     ways, cos_s = 1.0, dot(v.normal, v.back)
     if judged and order > 2 and x.density > SMALLEST:
         ways += onto_x * cos_x / (square * x.density)
-    if judged and (order == 2 or lobed) and cos_s > SMALLEST:
+    if judged and cos_s > SMALLEST:
         ways += _by_light(onto_v * cos_v / square, by_area, order == 2) * solid_angle * v.path * v.path / cos_s
     return x.power * v.power * f_x * f_v * cos_x * cos_v / (square * ways), r
 
@@ -591,9 +589,7 @@ def joined(world, aim, row, x, v, pixel, order, judged, found, rays):  # type: i
         if v.power[s] > 0.0:
             a, c = _row(world, x, i), _row(world, v, s)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            photons, r = _photons(
-                values, a, c, world.solid_angle[pixel[s]], by_area, order, judged, world.lobed[a.part]
-            )
+            photons, r = _photons(values, a, c, world.solid_angle[pixel[s]], by_area, order, judged)
             if photons > 0.0:
                 path = a.path + r + c.path * world.from_source
                 photons *= transmittance(world.attenuation, r)
@@ -607,8 +603,6 @@ def joined(world, aim, row, x, v, pixel, order, judged, found, rays):  # type: i
 def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
     `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
-
-    After two bounces only vertices x with a lobe land, as for others this way finds next to nothing.
     """
     count, values, part = 0, world.values, world.part
     planes, footprints, into = world.planes, world.footprints, world.into
@@ -617,7 +611,7 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
         s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
         back, leg = _toward(c.position, sensor)
         # The quick tests come first: few vertices lie in the pixel.
-        if dot(c.normal, back) <= 0.0 or (order > 2 and not world.lobed[a.part]):
+        if dot(c.normal, back) <= 0.0:
             continue
         seen = _seen_within(planes, footprints, into, pixel[s], _minus(back))
         if seen > 0.0:
@@ -627,7 +621,7 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
             end = _vertex(world, c.face, c.position, c.normal, back, gain, 0.0, leg)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
             # Visibility always counts here; a literal `True` would be compiled apart.
-            photons, r = _photons(values, a, end, solid, by_area, order, order > 1, world.lobed[a.part])
+            photons, r = _photons(values, a, end, solid, by_area, order, order > 1)
             if photons > 0.0:
                 path = a.path + r + leg * world.from_source
                 photons *= transmittance(world.attenuation, r)

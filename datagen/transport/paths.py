@@ -7,7 +7,8 @@ The last two vertices of a path, h = x_{B−1} and v = x_B, are drawn in three w
 
 - *join*: h from b, by the BRDF at b or, for x₂, also uniformly on the parts' areas; v from the pixel;
 - *back*: v from the pixel, h from v by the BRDF at v. This way finds surfaces right beside the field of view;
-- *land*: h from b, v from h by the BRDF at h, if v falls inside the pixel. This way is for BRDFs with a lobe.
+- *land*: h from b, v from h by the BRDF at h, if v falls inside the pixel. This way finds lobes, and
+  paths between surfaces that touch within the pixel, whose weight it bounds.
 
 A path counts with the integrand over the sum of the densities of all three ways, whichever of them found it (the
 balance heuristic: Veach & Guibas, SIGGRAPH 1995). So together they count every path once.
@@ -35,7 +36,7 @@ from datagen.records import Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
-from datagen.transport.brdf import LAMBERTIAN, OREN_NAYAR, SIN_LOBE, MaterialTable
+from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
 from datagen.transport.path_steps import Found, Rays, Vertices, World, head, room, some
@@ -160,8 +161,8 @@ class _Batch:
                 yield order, self.join(x, v, order, judged, judged)
             if order > 2 and h is not None:
                 yield order, self.back(b, h, v, order)
-            if order == max_bounces:
-                x = some(x, (self.world.lobed[self.world.part[x.face]] | (order == 2)) & joins & judged)
+            if order == max_bounces and not (joins and judged):
+                return
             y, of = self.onward(x, order)
             if joins and judged:
                 yield order, self.land(x, y, of, order)
@@ -221,10 +222,9 @@ class _Tracer:
         if sensor.footprints is not None:
             a, b, d = (self.corners[:, k] for k in (0, 1, 3))
             footprints, into = sensor.footprints.copy(), np.linalg.inv(np.stack([b - a, d - a, a], axis=2))
-        lobed = ~np.isin(materials.kind, (LAMBERTIAN, OREN_NAYAR, SIN_LOBE))
         return World(
             caster.corners, caster.face_normal, scene.face_part.astype(np.int64), materials.kind, materials.values,
-            lobed, float(scene.attenuation_per_m), caster.offset_m, np.array([*caster.center, caster.half_extent_m]),
+            float(scene.attenuation_per_m), caster.offset_m, np.array([*caster.center, caster.half_extent_m]),
             sensor.position, sensor.aperture_area_m2, sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0,
             self.capture.time.origin == "source", cones.planes, cones.solid_angle, footprints, into,
         )  # fmt: skip
