@@ -261,27 +261,29 @@ def _judge(each, widths, window, noise, bias):  # type: ignore[no-untyped-def]
     """Adds up, by width and window of bins, the variance of one replicate spread over boxes, and the square of what
     boxes blur: (3, widths, windows), as the even, the odd and all replicates of (R, H, T) judge."""
     R, H, T = each.shape
-    box, running = np.empty((R, T)), np.empty(T + 1)
+    # Of even, odd and all replicates: sums of values, of their squares, of what boxes change, of its squares.
+    box, running, sums = np.empty((R, T)), np.empty(T + 1), np.empty((3, 4))
     for h in range(H):
         for k in range(len(widths)):
             for r in range(R):
                 _box_sums(each[r, h], widths[k] // 2, running, box[r])
             for t in range(T):
+                sums[:] = 0.0
+                for r in range(R):
+                    x = box[r, t] / widths[k]
+                    y = x - each[r, h, t]
+                    sums[r % 2, 0] += x
+                    sums[r % 2, 1] += x * x
+                    sums[r % 2, 2] += y
+                    sums[r % 2, 3] += y * y
+                for j in range(4):
+                    sums[2, j] = sums[0, j] + sums[1, j]
                 for m in range(3):
-                    n, mean, square, blur, blur_square = 0, 0.0, 0.0, 0.0, 0.0
-                    for r in range(m % 2, R, 2 if m < 2 else 1):
-                        x = box[r, t] / widths[k]
-                        y = x - each[r, h, t]
-                        n, mean, square, blur, blur_square = (
-                            n + 1,
-                            mean + x,
-                            square + x * x,
-                            blur + y,
-                            blur_square + y * y,
-                        )
-                    noise[m, k, t // window] += (square - mean * mean / n) / (n - 1)
+                    n = R if m == 2 else (R + 1 - m) // 2
+                    noise[m, k, t // window] += (sums[m, 1] - sums[m, 0] ** 2 / n) / (n - 1)
                     # The square of a noisy mean is too large by its variance.
-                    bias[m, k, t // window] += (blur / n) ** 2 - (blur_square - blur * blur / n) / (n * (n - 1))
+                    variance = (sums[m, 3] - sums[m, 2] ** 2 / n) / (n * (n - 1))
+                    bias[m, k, t // window] += (sums[m, 2] / n) ** 2 - variance
 
 
 @compiled()
