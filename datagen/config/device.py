@@ -92,11 +92,6 @@ class Zones(Settings):
             object.__setattr__(self, "map", None)
         return self
 
-    @property
-    def are_even(self) -> bool:
-        """Whether every zone is equally sensitive all over its box, and all zones alike."""
-        return self.map is None and not self.weights and self.blur == 0 and not self.gains
-
 
 class Light(Settings):
     """What lights the scene."""

@@ -545,11 +545,11 @@ class Blocks:
         x, y = self._drawn(front, L, work), self._drawn(back, P, work)
         of_x, of_y = self._legs(front, L, x, work), self._legs(back, P, y, work)
         some = np.arange(ONWARD)
-        x_on, of_x_on, y_on, of_y_on = _rows(x, some), _rows(of_x, some), _rows(y, some), _rows(of_y, some)
+        x_on, of_x_on = _rows(x, some), _rows(of_x, some)
         from_x = self._onward(front, x_on, of_x_on, work)
         ys, of_ys = _both(y, from_x), _both(of_y, self._legs(back, P, from_x, work))
         if last == 4:
-            from_y = self._onward(back, y_on, of_y_on, work)
+            from_y = self._onward(back, _rows(y, some), _rows(of_y, some), work)
             xs, of_xs = _both(x, from_y), _both(of_x, self._legs(front, L, from_y, work))
             found = np.concatenate([some, VERTICES + some]), np.concatenate([VERTICES + some, some])
             self._join(4, ONWARD, (front, xs, of_xs, VERTICES), (back, ys, of_ys, VERTICES), found, work)

@@ -8,14 +8,13 @@ Burley, "Practical hash-based Owen scrambling", JCGT 9(4) (2020).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats
 
 BITS = 32
 """Bits of a point's coordinates, and of the index of a point: a sequence has 2³² points."""
@@ -138,30 +137,6 @@ def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int, firs
     out = np.empty((len(seeds), count, dimensions))
     _fill(numbers, first_dimension, np.asarray(seeds, np.uint64), out)
     return out
-
-
-@dataclass(frozen=True)
-class Streams:
-    """The random numbers of n rows, each of which is one replicate of one laser point (or pixel).
-
-    The numbers of a row depend on its replicate and index alone: replicates that are traced together give the same
-    result as one by one.
-
-    replicate, index : (n,) number of the replicate, and index of the laser point or pixel.
-    """
-
-    seed: int
-    replicate: Ints
-    index: Ints
-
-    @classmethod
-    def of(cls, seed: int, replicates: Ints, index: Ints) -> Streams:
-        """Streams with a row for each pair of `replicates` and `index`, sorted by replicate."""
-        return cls(seed, np.repeat(replicates, len(index)), np.tile(index, len(replicates)))
-
-    def seeds(self, purpose: int, rows: Ints, *more: NDArray[np.integer]) -> NDArray[np.uint64]:
-        """(m,) seeds for m of the rows, for a purpose and for further coordinates, each a number or (m,)."""
-        return stream_seeds(self.seed, purpose, self.replicate[rows], self.index[rows], *more)
 
 
 def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[np.uint64]:

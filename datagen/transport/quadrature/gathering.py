@@ -63,7 +63,6 @@ class Cutting(NamedTuple):
     sharp : (K,) 1/width² of each part's narrowest lobe, 1 for a matt surface.
     peak : (K,) upper bound of each part's BRDF, 1/sr.
     rays_on_last_leg : whether shadow rays between elements and the pixel are cast.
-    proofs : whether shadow rays are saved where it is proven that nothing can stand in their way.
     seed : (K,) seed of the random points on each part.
     """
 
@@ -71,7 +70,6 @@ class Cutting(NamedTuple):
     sharp: Floats
     peak: Floats
     rays_on_last_leg: bool
-    proofs: bool
     seed: Ints
 
 
@@ -315,9 +313,7 @@ class Gathering:
         materials, sharp = task.materials, 1.0 / self.width**2
         if matt:
             materials, sharp = replace(materials, kind=np.zeros_like(materials.kind)), np.ones(parts)
-        cutting = Cutting(
-            error, sharp, self.peak, not clear, True, seed.astype(np.int64),
-        )  # fmt: skip
+        cutting = Cutting(error, sharp, self.peak, not clear, seed.astype(np.int64))
         room = Room.new()
         for batch in seen:
             scan = Scan(

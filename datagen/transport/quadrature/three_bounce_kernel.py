@@ -621,7 +621,7 @@ def _narrow(scan, lit, view, element, candidates, room, top):  # type: ignore[no
     """
     (first, middle, last), listed, cell, f = candidates, room.listed, room.cell, element.f
     # `narrowed` needs room for a ring of boxes on each leg.
-    if not (scan.cutting.proofs and first < last < len(listed) - 4 * RING):
+    if not first < last < len(listed) - 4 * RING:
         return candidates
     a, b, c = vertex_of(cell, top, 0), vertex_of(cell, top, 1), vertex_of(cell, top, 2)
     row = scan.occluders.row
