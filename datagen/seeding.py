@@ -42,6 +42,7 @@ class LightStream(IntEnum):
     FACTORISED_LIT = 35
     CLUSTERS = 64
     PATCHES = 65
+    CUTS = 66
     BLOCKS = 80
     PATHS = 81
     SAMPLED_PATHS = 96

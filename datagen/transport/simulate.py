@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time as clock_time
 from collections.abc import Sequence
-from functools import reduce
 from typing import NamedTuple
 from warnings import warn
 
@@ -22,8 +21,8 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.records.checks import check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.cuts import PrimaryLight, primary_by_cuts
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
-from datagen.transport.error_control.primary import PrimaryLight, primary_by_quadrature
 from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.path_light import PathsOf, with_samples
@@ -161,18 +160,28 @@ def transient_of(
 
 
 def _to_target(problem: Problem) -> Estimate:
-    """The light of all components to a target: the primary by quadrature, four bounces and more by blocks, direct
-    light and what these leave by plain paths."""
+    """The light of all components to a target: three bounces by cuts, four and more by blocks, direct light and what
+    these leave by plain paths."""
     accuracy, components = problem.accuracy, problem.components
     assert accuracy.target is not None
     others = [name for name in components if name != "primary"]
-    primary: PrimaryLight | str = ""
-    if "primary" in components and problem.capture.sensor.footprints is None:
-        # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
-        primary = primary_by_quadrature(problem, accuracy.target * math.sqrt(1 / (1 + len(others))))
-    if isinstance(primary, PrimaryLight):
-        return _joined(problem, primary, _sampled(problem, others, reduce(np.add, primary.rows), primary.error))
-    return _joined(problem, primary, _sampled(problem, components, np.zeros(problem.capture.shape), 0.0))
+    shape = problem.capture.shape
+    if "primary" not in components:
+        return _joined(problem, None, _sampled(problem, others, np.zeros(shape), 0.0))
+    # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
+    primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / (1 + len(others))))
+    whole = primary.light.sum(axis=0)
+    found = _sampled(problem, others, whole, primary.error)
+    norm = l2_norm(whole + sum(found.found.light.values()))
+    # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
+    if not is_enough(primary.error, l2_norm(whole), norm, accuracy.target):
+        rest = sum(found.found.light.values(), start=np.zeros_like(whole))
+        again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
+        if again.found.error["primary"] < primary.error:
+            return _joined(
+                problem, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found))
+            )
+    return _joined(problem, primary, found)
 
 
 def _sampled(problem: Problem, components: Sequence[str], known: Floats, error: float) -> _Samples:
@@ -213,23 +222,22 @@ class _Samples(NamedTuple):
     found: Sampled
 
 
-def _joined(problem: Problem, primary: PrimaryLight | str, samples: _Samples) -> Estimate:
-    """One estimate from the primary by quadrature, or the words why it is sampled, and the sampled components."""
+def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
+    """One estimate from the primary by cuts, if there is one, and the sampled components."""
     shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target
     assert target is not None
     light = {name: of.reshape(shape) for name, of in found.light.items()}
     parts, part_errors = dict[str, Floats](), dict[str, float]()
     samplers = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in sources.items()}
     stderr, overflow, rays = found.stderr(shape), found.overflow(shape), dict(found.cost)
-    error, opinion = math.hypot(*found.error.values()), primary
-    if isinstance(primary, PrimaryLight):
-        light["primary"] = whole = reduce(np.add, primary.rows)
-        parts = dict(zip(problem.parts, primary.rows, strict=False))
-        samplers["primary"], rays["primary"] = "quadrature", primary.rays
-        stderr = np.hypot(stderr, primary.error / (l2_norm(whole) or 1.0) * whole)
-        overflow = overflow + primary.overflow
-        part_errors, opinion = dict(primary.part_errors), primary.opinion
-        error = math.hypot(error, primary.error)
+    error = math.hypot(*found.error.values())
+    if primary is not None:
+        light["primary"] = primary.light.sum(axis=0).reshape(shape)
+        parts = {name: of.reshape(shape) for name, of in zip(problem.parts, primary.light, strict=False)}
+        samplers["primary"], rays["primary"] = "cuts", primary.rays
+        stderr = np.hypot(stderr, np.sqrt(primary.variance).reshape(shape))
+        overflow = overflow + primary.outside.reshape(shape[:2])
+        part_errors, error = primary.part_errors, math.hypot(error, primary.error)
     elif "primary" in sources:
         by_paths = sources["primary"]
         assert isinstance(by_paths, PathsOf)
@@ -239,5 +247,4 @@ def _joined(problem: Problem, primary: PrimaryLight | str, samples: _Samples) ->
     return Estimate(
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
         {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
-        str(opinion),
     )  # fmt: skip

@@ -16,10 +16,10 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import LAMBERTIAN, dot
 from datagen.transport.geometry import half, subtract, transmittance
-from datagen.transport.quadrature.arrival_times import pour, tent, widened
+from datagen.transport.arrival_times import pour, tent, widened
 from datagen.transport.quadrature.waiting import KEPT, push
 from datagen.transport.quadrature.weights import AT_ONCE, outside, path_variance, verdict
-from datagen.transport.visibility.bvh import SMALLEST
+from datagen.transport.bvh import SMALLEST
 
 WIDE = 64
 """Most elements that are taken from the stack together; half as many leave vector instructions less well filled."""

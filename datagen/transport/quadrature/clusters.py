@@ -10,7 +10,7 @@ from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import bounding_sphere, corner, distance, subtract, transmittance
 from datagen.transport.sampling import mix
-from datagen.transport.visibility.bvh import triangle_by_area
+from datagen.transport.bvh import triangle_by_area
 
 COARSEST = 0.8
 """Largest size of an element or footprint, relative to its distance; larger ones are divided whatever their light.

@@ -22,7 +22,7 @@ from datagen.transport.quadrature.mesh_rays import LEVEL, SHARPEST, TRIANGLES, O
 from datagen.transport.quadrature.three_bounce_kernel import Room, gather
 from datagen.transport.quadrature.weights import AT_ONCE
 from datagen.transport.sampling import stream_seeds
-from datagen.transport.visibility.bvh import Hierarchy
+from datagen.transport.bvh import Hierarchy
 from datagen.transport.visibility.occluder_rows import Occluders
 from datagen.units import path_from_time
 

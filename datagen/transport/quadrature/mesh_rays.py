@@ -29,7 +29,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, in_frame_of
 from datagen.transport.geometry import corner, distance, get, put, subtract, unit
 from datagen.transport.memory import VALUES_AT_ONCE
-from datagen.transport.quadrature.arrival_times import spread, widened
+from datagen.transport.arrival_times import spread, widened
 from datagen.transport.quadrature.footprints import finest_within
 from datagen.transport.quadrature.weights import path_changes, weight
 from datagen.transport.sampling import mix, word_of

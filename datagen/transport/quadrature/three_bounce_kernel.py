@@ -20,7 +20,7 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot
 from datagen.transport.geometry import above, bounding_sphere, corner, distance, get, half, subtract
-from datagen.transport.quadrature.arrival_times import spread, widened
+from datagen.transport.arrival_times import spread, widened
 from datagen.transport.quadrature.clear_elements import put_clear, room_for_clear, spread_clear
 from datagen.transport.quadrature.clusters import (
     COARSEST,
@@ -55,7 +55,7 @@ from datagen.transport.quadrature.weights import (
     weight_at_most,
 )
 from datagen.transport.sampling import mix, word_of
-from datagen.transport.visibility.bvh import CLUSTER, SMALLEST
+from datagen.transport.bvh import CLUSTER, SMALLEST
 from datagen.transport.visibility.occlusion import LISTED, RING, hidden, lists, narrowed, shaded
 
 PARTLY, UNFOUND, MESH = (0.5, 0.05), 0.05, 256

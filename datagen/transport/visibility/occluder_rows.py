@@ -12,7 +12,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import corner, cross, get, subtract
-from datagen.transport.visibility.bvh import ON_PLANE, Hierarchy, boxes_over
+from datagen.transport.bvh import ON_PLANE, Hierarchy, boxes_over
 
 FEW_VERTICES = 256
 """Most vertices of a part whose triangles are tested for whether they can hide anything, and of a part each of whose

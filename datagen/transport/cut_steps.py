@@ -1,0 +1,591 @@
+"""The compiled steps of `cuts.py`: how surfaces and pixels are cut into elements, and what is drawn from each.
+
+What waits to be cut lies on a stack: a box of triangles or a piece of a triangle, and a cluster of FoV points. It is
+cut until its light is at most δ photons, times the root of the number of bins that it spreads over.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from datagen.compiled import compiled
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.arrival_times import pour, tent, widened
+from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
+from datagen.transport.bvh import CLUSTER, triangle_by_area
+from datagen.transport.geometry import above, bounding_sphere, corner, cross, distance, get, longest, put, subtract
+from datagen.transport.geometry import transmittance
+from datagen.transport.laser_points import LaserPoints
+from datagen.transport.sampling import mix
+from datagen.transport.visibility.raycast import lifted_and_scaled
+
+COARSEST = 1.0
+"""Largest size of an element relative to its distance, whatever its light."""
+COARSEST_CLUSTER = 0.7
+"""The same of a cluster of FoV points."""
+BENT = 10.0
+"""An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
+LEAST = 0.1
+"""Least density of the hidden point on an element, relative to the largest: bounds the weight where a guess is 0."""
+BACK = 0.02
+"""What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
+BLACK = 1e-3
+"""BRDF that a cluster of FoV points is taken for at least, as its points may be of several materials, 1/sr."""
+BLURRED = 0.25
+"""Span of arrival times over a cluster that is not flat, relative to that over the element, and angle that it is seen
+by, from which on a sample has several FoV points."""
+MOST_POINTS = 4
+"""Most FoV points of a sample, a power of 4."""
+STACK = 4096
+"""Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
+BOX, PIECE = 0, 1
+"""What waits."""
+NOTHING, CLUSTER_FIRST, HALVES, SAMPLE = range(4)
+"""What becomes of it."""
+STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
+"""Steps of additive recurrences (Roberts 2018), which spread the hidden and the FoV points of a pair evenly."""
+
+
+class Room(NamedTuple):
+    """What all pairs share.
+
+    kind, values : of the materials. peak : (K,) largest BRDF of each part, 1/sr. outer : (K,) 1 for closed meshes whose
+    normals point outward, −1 inward, 0 for other meshes. lasers, power : laser points, and
+    the share of light that air lets through to them. per_metre, start, bins : bins of a metre of path, number of the
+    first bin, and of all bins. device : whether the legs to laser and sensor count. air : attenuation, 1/m. plane :
+    distance within which a point lies on a plane, m. smallest : side of the smallest piece that is cut, m. frame,
+    offset : of embree, and by how much rays begin off their surfaces, m.
+    """
+
+    kind: Ints | NDArray[np.uint8]
+    values: Floats
+    peak: Floats
+    outer: Floats
+    lasers: LaserPoints
+    power: Floats
+    per_metre: float
+    start: float
+    bins: float
+    device: bool
+    air: float
+    plane: float
+    smallest: float
+    frame: Floats
+    offset: float
+
+
+class Batch(NamedTuple):
+    """Samples that wait for their rays.
+
+    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. at :
+    (n, 3) guessed weights at the corners of the element. first, last : (n,) span of the sample in the arrays `light`,
+    photons, and `time`, (…, 3) arrival times by way of the corners, bins.
+    """
+
+    ends: NDArray[np.float32]
+    row: Ints
+    at: Floats
+    first: Ints
+    last: Ints
+    light: Floats
+    time: Floats
+
+    @classmethod
+    def of(cls, n: int) -> Batch:
+        """Room for n samples."""
+        row, first, last = (np.empty(n, np.int64) for _ in range(3))
+        many = n * MOST_POINTS // 2
+        return cls(
+            np.empty((n, 3, 3), np.float32), row, np.empty((n, 3)), first, last, np.empty(many), np.empty((many, 3))
+        )
+
+
+@compiled(forceinline=True)
+def _random(state):  # type: ignore[no-untyped-def]
+    """The next number in 0 … 1 of a stream, whose state is state[0] (Knuth's linear congruential generator)."""
+    state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+    return (np.float64(state[0] >> np.uint64(33)) + 0.5) * 2.0**-31
+
+
+@compiled(forceinline=True)
+def _brdf(kind, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
+    """A guess of the largest BRDF near two directions, never 0 unless the surface is black."""
+    if kind == LAMBERTIAN:
+        return values[0] / math.pi
+    f = evaluate_at_most(kind, values, n, a, b, turn, tilt)
+    return f if f > 0.0 else values[0] / math.pi
+
+
+@compiled(forceinline=True)
+def _seen_by(pool, p, c, kind, values):  # type: ignore[no-untyped-def]
+    """Cluster c of pixel p: middle, mean normal, radius, sine and thickness, and direction to the sensor and BRDF of
+    one of its points."""
+    row, q = pool.cluster[p], int(pool.cluster[p, c, 10])
+    k = pool.part[q]
+    return get(row, c, 0), get(row, c, 3), row[c, 6], row[c, 7], row[c, 8], get(pool.to_sensor, q, 0), kind[k], values[k]
+
+
+@compiled()
+def _guess(y, n, surface, lit, seen, air, plane, turn):  # type: ignore[no-untyped-def]
+    """A guess of the light at point y, for each m² and unit of gain, and the distance to the laser point.
+
+    n : normal at y. surface : BRDF there, and whether its mesh is closed. lit, seen : laser point and cluster. turn :
+    how far y may be off, metres.
+    """
+    (kind2, values2, outer), (x, n1, to_laser, kind1, values1) = surface, lit
+    z, axis, size, sine, thick, to_sensor, kind3, values3 = seen
+    d1, d3 = subtract(y, x), subtract(y, z)
+    square1, square3 = dot(d1, d1), dot(d3, d3)
+    r1, r3 = math.sqrt(square1), math.sqrt(square3)
+    up1, up3 = dot(d1, n1), min(dot(d3, axis) + thick + sine * (r3 + size), r3 + size)
+    # The mean height of the cluster's points over the lit side of the element.
+    in2 = -dot(d1, n)
+    out2 = -dot(d3, n) if in2 > 0.0 else dot(d3, n)
+    out2 = out2 if out2 >= size else (out2 + size) ** 2 / (4.0 * size) if out2 > -size else 0.0
+    if up1 <= plane or up3 <= plane or abs(in2) <= plane or out2 <= plane:
+        return 0.0, r1
+    f = abs(in2) * up1 * up3 * out2 * transmittance(air, r1 + r3) * (BACK if in2 * outer < 0.0 else 1.0)
+    if in2 < 0.0:
+        n = (-n[0], -n[1], -n[2])
+    square3 += 0.25 * size * size
+    w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
+    f *= _brdf(kind1, values1, n1, to_laser, w1, turn / r1, 0.0)
+    f *= _brdf(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]), turn / r1 + turn / r3, 0.0)
+    f *= max(_brdf(kind3, values3, axis, w3, to_sensor, turn / r3, 0.0), BLACK)
+    return f / (square1 * square1 * square3 * square3), r1
+
+
+@compiled()
+def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
+    """Upper bound of the product of the cosines at x and at a box's surface, on any line between them.
+
+    m, radius : bounding sphere of the box, metres. axis, cosine, sine : cone of the box's normals. rise : height of
+    the box above the surface at x, metres.
+
+    A normal within an angle α of the axis has a component of at most |axis · d| + |d × axis| sin α along d.
+    """
+    d = subtract(m, x)
+    square, along = dot(d, d), abs(dot(d, axis))
+    near = math.sqrt(square) - radius
+    # Inside the sphere every direction is possible.
+    if near <= 0.0:
+        return 1.0
+    across = math.sqrt(max(square - along * along, 0.0)) * (sine if cosine > 0.0 else 1.0)
+    return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
+
+
+@compiled()
+def _light_of_box(tree, at, surface, peak, lit, seen, air, plane):  # type: ignore[no-untyped-def]
+    """About the most light of box `at`, for each unit of gain: −1 if no point of the cluster or no laser light gets
+    there, infinite if it is near or holds few triangles. peak : largest BRDF of the box, 1/sr."""
+    (kind2, values2, outer), (x, n1, to_laser, kind1, values1) = surface, lit
+    z, axis3, size, sine3, thick, to_sensor, kind3, values3 = seen
+    m, r = bounding_sphere(tree.box, at)
+    d1, d3 = distance(m, x), distance(m, z)
+    rise1, rise3 = above(tree.box, at, x, n1), above(tree.box, at, z, axis3) + thick + sine3 * (d3 + r + size)
+    near1, near3 = d1 - r, d3 - r - size
+    if rise1 <= plane or rise3 <= plane:
+        return -1.0
+    if tree.span[at, 1] - tree.span[at, 0] <= CLUSTER or 2 * r > COARSEST * min(near1, near3):
+        return np.inf
+    axis, cosine = get(tree.cone, at, 0), tree.cone[at, 3]
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    a, b = subtract(x, m), subtract(z, m)
+    a, b = (a[0] / d1, a[1] / d1, a[2] / d1), (b[0] / d3, b[1] / d3, b[2] / d3)
+    f, turn1, turn3 = peak, r / near1, (r + size) / near3
+    if cosine > 0.5:
+        toward = dot(a, axis)
+        s = 1.0 if toward > 0.0 else -1.0
+        n = (s * axis[0], s * axis[1], s * axis[2])
+        f = _brdf(kind2, values2, n, a, b, turn1 + turn3, math.acos(min(cosine, 1.0)))
+        # All triangles turn their inner side to the laser point.
+        f *= BACK if s * outer < 0.0 and abs(toward) > sine + turn1 else 1.0
+    f *= _brdf(kind1, values1, n1, to_laser, (-a[0], -a[1], -a[2]), turn1, 0.0)
+    tilt3 = math.asin(min(sine3, 1.0))
+    f *= max(_brdf(kind3, values3, axis3, (-b[0], -b[1], -b[2]), to_sensor, turn3, tilt3), BLACK)
+    f *= _facing(m, r, axis, cosine, sine, x, rise1) * _facing(m, r + size, axis, cosine, sine, z, rise3)
+    area = tree.area[tree.span[at, 1]] - tree.area[tree.span[at, 0]]
+    return area * f * transmittance(air, near1 + near3) / (near1 * near3) ** 2
+
+
+@compiled(forceinline=True)
+def _push(tag, top, what, at, c, q, many):  # type: ignore[no-untyped-def]
+    """Lets a box or piece and a cluster wait at `top`."""
+    tag[top, 0], tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] = what, at, c, q, many
+
+
+@compiled()
+def _set_corner(piece, top, v, y, n, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
+    """Sets corner v of a piece: its place, the guess of its light, and its distance from the laser point."""
+    put(piece, top, 3 * v, y)
+    piece[top, 9 + v], piece[top, 12 + v] = _guess(y, n, surface, lit, seen, air, plane, 0.0)
+
+
+@compiled()
+def _open_box(tree, tag, piece, top, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
+    """Lets the halves of the box at `top` wait in its place, or its triangles; returns the new top."""
+    at, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4]
+    if tree.children[at, 0] >= 0:
+        _push(tag, top, BOX, tree.children[at, 0], c, q, many)
+        _push(tag, top + 1, BOX, tree.children[at, 1], c, q, many)
+        return top + 2
+    for f in range(tree.span[at, 0], tree.span[at, 1]):
+        _push(tag, top, PIECE, f, c, q, many)
+        for v in range(3):
+            _set_corner(
+                piece, top, v, corner(tree.corners, f, v), get(tree.normal, f, 0), surface, lit, seen, air, plane
+            )
+        top += 1
+    return top
+
+
+@compiled()
+def _open_cluster(tag, piece, top, n, surface, lit, pool, p, kind, values, air, plane):  # type: ignore[no-untyped-def]
+    """Lets the piece at `top`, with normal n, wait with each quarter of its cluster; returns the new top."""
+    f, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] // 4
+    y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
+    for j in range(4):
+        inner = 4 * c + 1 + j
+        if pool.cluster[p, inner, 9] > 0.0:
+            _push(tag, top, PIECE, f, inner, q + j * many, many)
+            seen = _seen_by(pool, p, inner, kind, values)
+            for v in range(3):
+                y = y0 if v == 0 else y1 if v == 1 else y2
+                _set_corner(piece, top, v, y, n, surface, lit, seen, air, plane)
+            top += 1
+    return top
+
+
+@compiled(forceinline=True)
+def _halve(tag, piece, top, share, n, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
+    """Lets the two parts of the piece at `top`, with normal n, wait, divided across its longest side; returns the new
+    top."""
+    o, _ = longest(get(piece, top, 0), get(piece, top, 3), get(piece, top, 6))
+    e = (o + 1) % 3
+    one, two = get(piece, top, 3 * o), get(piece, top, 3 * e)
+    y = (one[0] + share * (two[0] - one[0]), one[1] + share * (two[1] - one[1]), one[2] + share * (two[2] - one[2]))
+    for j in range(15):
+        piece[top + 1, j] = piece[top, j]
+    _push(tag, top + 1, PIECE, tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4])
+    _set_corner(piece, top, o, y, n, surface, lit, seen, air, plane)
+    put(piece, top + 1, 3 * e, y)
+    piece[top + 1, 9 + e], piece[top + 1, 12 + e] = piece[top, 9 + o], piece[top, 12 + o]
+    return top + 2
+
+
+@compiled(forceinline=True)
+def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
+    """Whether all of a triangle lies below the surface at the laser point, or below that of all FoV points, or all of
+    them on the other side of the triangle than the laser point.
+
+    Each height is a convex function of the place, so that the corners decide; but each height by itself, as a corner
+    may be below the one surface and its neighbour below the other.
+    """
+    x, n1 = lit[0], lit[1]
+    z, axis, size, sine, thick = seen[0], seen[1], seen[2], seen[3], seen[4]
+    in2, out2 = dot(subtract(x, y0), n), dot(subtract(z, y0), n)
+    if abs(in2) <= plane or (out2 if in2 > 0.0 else -out2) <= plane - size:
+        return True
+    up1 = max(dot(subtract(y0, x), n1), dot(subtract(y1, x), n1), dot(subtract(y2, x), n1))
+    d0, d1, d2 = subtract(y0, z), subtract(y1, z), subtract(y2, z)
+    far = math.sqrt(max(dot(d0, d0), dot(d1, d1), dot(d2, d2))) if sine > 0.0 else 0.0
+    up3 = max(dot(d0, axis), dot(d1, axis), dot(d2, axis)) + thick + sine * (far + size)
+    return up1 <= plane or up3 <= plane
+
+
+@compiled(forceinline=True)
+def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  # type: ignore[no-untyped-def]
+    """What becomes of the piece at `top`, and: largest guess on it, its area, m², and the bins it spreads over.
+
+    leg : from the laser and to the sensor, metres.
+    """
+    x, z, size = lit[0], seen[0], seen[2]
+    y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
+    if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
+        return NOTHING, 0.0, 0.0, 1.0
+    m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
+    h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
+    if size > COARSEST_CLUSTER * d3 and size > 0.5 * h and many > 1:
+        return CLUSTER_FIRST, 0.0, 0.0, 1.0
+    may_halve = h > room.smallest
+    if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
+        return HALVES, 0.0, 0.0, 1.0
+    most = max(piece[top, 9], piece[top, 10], piece[top, 11])
+    # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
+    if most <= 0.0 or lit[3] != LAMBERTIAN or seen[6] != LAMBERTIAN or surface[0] != LAMBERTIAN:
+        most = max(most, _guess(m, n, surface, lit, seen, room.air, room.plane, h + size)[0])
+    normal = cross(subtract(y1, y0), subtract(y2, y0))
+    area = 0.5 * math.sqrt(dot(normal, normal))
+    t0, t1, t2 = (
+        piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
+    )  # fmt: skip
+    late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
+    width = max(1.0, (late - early) * room.per_metre)
+    bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre / width
+    # What arrives outside the window only counts as a sum.
+    is_inside = (late + 2 * size + leg) * room.per_metre > room.start
+    is_inside &= (middle - h - 2 * size + leg) * room.per_metre < room.start + room.bins
+    is_bright = gain * area * most * (1.0 + BENT * bend) > delta * math.sqrt(width)
+    return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width
+
+
+@compiled(forceinline=True)
+def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
+    """A point of a triangle, drawn with a density that is linear between its corners, from (u, v) in the unit
+    square."""
+    # One corner, by its weight; the coordinate of that corner has the density 6 t (1 − t), the rest is uniform.
+    u *= w0 + w1 + w2
+    which = 0 if u < w0 else 1 if u < w0 + w1 else 2
+    inner = u / w0 if which == 0 else (u - w0) / w1 if which == 1 else min((u - w0 - w1) / w2, 1.0)
+    t = 0.5 - math.sin(math.asin(1.0 - 2.0 * inner) / 3.0)
+    a, b = (1.0 - t) * v, (1.0 - t) * (1.0 - v)
+    return t if which == 0 else a, t if which == 1 else a if which == 0 else b, t if which == 2 else b
+
+
+@compiled(forceinline=True)
+def _weight(y, n, surface, lit, z, n3, to_sensor, kind3, values3, air):  # type: ignore[no-untyped-def]
+    """Light that goes from the laser point by way of y to the FoV point z and on to the sensor, for each m² at y and
+    unit of gain, if nothing stands between; and the lengths of both legs.
+
+    n, surface : normal and BRDF at y. n3, kind3, values3 : those at z.
+    """
+    (kind2, values2, _), (x, n1, to_laser, kind1, values1) = surface, lit
+    d1, d3 = subtract(y, x), subtract(y, z)
+    square1, square3 = dot(d1, d1), dot(d3, d3)
+    r1, r3 = math.sqrt(square1), math.sqrt(square3)
+    up1, up3 = dot(d1, n1), dot(d3, n3)
+    in2, out2 = -dot(d1, n), -dot(d3, n)
+    # One end faces away, or both lie on different sides of the surface, which scatters on either.
+    if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
+        return 0.0, r1, r3
+    if in2 < 0.0:
+        n = (-n[0], -n[1], -n[2])
+    w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
+    f = (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * square3) * transmittance(air, r1 + r3)
+    f *= evaluate(kind1, values1, n1, to_laser, w1)
+    f *= evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
+    f *= evaluate(kind3, values3, n3, w3, to_sensor)
+    return f, r1, r3
+
+
+@compiled(forceinline=True)
+def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore[no-untyped-def]
+    """Mean and variance, m and m², of the change of the path by way of y over a flat cluster with the middle z.
+
+    n3, sides : normal and sides of the cluster, metres.
+
+    Along each side, weights change by κ and paths by τ. With weights 1 + κ u for u from −½ to ½ paths have the mean
+    κ τ/12 and the variance τ²/12. κ is that of matt surfaces.
+    """
+    d = subtract(y, z)
+    square, up, out = dot(d, d), dot(d, n3), dot(d, n)
+    mean = variance = 0.0
+    for j in range(2):
+        s = (sides[3 * j], sides[3 * j + 1], sides[3 * j + 2])
+        tau = -dot(d, s) / math.sqrt(square) - (dot(to_sensor, s) if device else 0.0)
+        kappa = 4.0 * dot(d, s) / square - dot(n3, s) / up - dot(n, s) / out
+        mean += max(min(kappa, 2.0), -2.0) * tau / 12.0
+        variance += tau * tau / 12.0
+    return mean, variance
+
+
+@compiled(forceinline=True)
+def _join(  # type: ignore[no-untyped-def]
+    y, n, surface, lit, seen, density, corners, share, replicate, u, c, q, many, points, pool, p, room, leg, power,
+    state, batch, used, poured,
+):  # fmt: skip
+    """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows of
+    light it has, 0 if it brings none.
+
+    density : 1/m², with which y is drawn. corners, share : corners of the piece that y lies on, their distances to the
+    laser point, and barycentric coordinates of y. u : random number that chooses the FoV points. c, q, many, points :
+    cluster, its first square, number of its squares, and how many points.
+    """
+    (y0, y1, y2, a0, a1, a2), (s0, s1, s2), row = corners, share, pool.cluster[p, c]
+    first = p * (len(pool.part) // len(pool.cluster))
+    each, total, chosen, rows, per = many // points, 0.0, -1, poured, room.per_metre
+    for m in range(points):
+        j = first + 2 * (q + m * each + min(int(u * each), each - 1)) + replicate
+        k3 = pool.part[j]
+        if k3 < 0:
+            continue
+        z, n3, back = get(pool.position, j, 0), get(pool.normal, j, 0), get(pool.to_sensor, j, 0)
+        last_leg, mean, variance = pool.leg[j], 0.0, 0.0
+        w, r1, r3 = _weight(y, n, surface, lit, z, n3, back, room.kind[k3], room.values[k3], room.air)
+        light = power * each * w * pool.weight[j] / density
+        if light <= 0.0:
+            continue
+        # All points count if the one sees y that is drawn by its light.
+        total += light
+        if total == light or _random(state) * total < light:
+            chosen = j
+        if row[17] > 0.0:
+            # Times, which change most over a pixel, are those of all of a flat cluster.
+            z, last_leg = seen[0], row[17]
+            sides = (row[11], row[12], row[13], row[14], row[15], row[16])
+            mean, variance = _change_over_cluster(y, n, z, seen[1], seen[5], sides, room.device)
+            r3 = distance(y, z)
+        t0, t1, t2 = a0 + distance(y0, z), a1 + distance(y1, z), a2 + distance(y2, z)
+        # The times of the corners, so shifted that the time by way of y is right.
+        t = r1 + r3 + leg + (last_leg if room.device else 0.0) + mean - s0 * t0 - s1 * t1 - s2 * t2
+        t0, t1, t2 = widened(
+            (t + t0) * per - room.start, (t + t1) * per - room.start, (t + t2) * per - room.start,
+            variance * per * per,
+        )  # fmt: skip
+        batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2], batch.light[rows] = t0, t1, t2, light
+        rows += 1
+    if chosen >= 0:
+        side = room.offset if dot(subtract(lit[0], y), n) > 0.0 else -room.offset
+        z, n3 = get(pool.position, chosen, 0), get(pool.normal, chosen, 0)
+        ends = batch.ends[used]
+        ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit[0], lit[1], room.offset, room.frame)
+        ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(y, n, side, room.frame)
+        ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
+    return rows - poured
+
+
+@compiled(forceinline=True)
+def _fraction(u):  # type: ignore[no-untyped-def]
+    """The part of u ≥ 0 after the point."""
+    return u - math.floor(u)
+
+
+@compiled(forceinline=True)
+def _sample(  # type: ignore[no-untyped-def]
+    tree, tag, piece, top, judged, surface, lit, seen, u, v, w, replicate, pool, p, room, leg, power, state, batch,
+    used, poured,
+):  # fmt: skip
+    """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
+
+    judged : largest guess, area, m², and bins of a piece. u, v, w : random numbers for the hidden and the FoV point.
+    """
+    (most, area, width), f = judged, tag[top, 1]
+    a0 = a1 = a2 = 0.0
+    if tag[top, 0] == BOX:
+        low, high = tree.span[f, 0], tree.span[f, 1]
+        area = tree.area[high] - tree.area[low]
+        f = triangle_by_area(low, high, tree.area, np.uint64(_random(state) * 4294967296.0))
+        y0, y1, y2 = corner(tree.corners, f, 0), corner(tree.corners, f, 1), corner(tree.corners, f, 2)
+        w0 = w1 = w2 = 1.0
+    else:
+        y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
+        least = LEAST * most if most > 0.0 else 1.0
+        w0, w1, w2 = max(piece[top, 9], least), max(piece[top, 10], least), max(piece[top, 11], least)
+    n, share = get(tree.normal, f, 0), _barycentric(u, v, w0, w1, w2)
+    s0, s1, s2 = share
+    y = (
+        s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
+        s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
+    )  # fmt: skip
+    if tag[top, 0] == BOX:
+        # All of a small box's light arrives at one time.
+        y0 = y1 = y2 = y
+    else:
+        a0, a1, a2 = piece[top, 12], piece[top, 13], piece[top, 14]
+    density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
+    c, q, many, points = tag[top, 2], tag[top, 3], tag[top, 4], 1
+    if pool.cluster[p, c, 17] == 0.0:
+        blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
+        while points < many and points < MOST_POINTS and blur > BLURRED:
+            points, blur = 4 * points, 0.5 * blur
+    batch.at[used, 0], batch.at[used, 1], batch.at[used, 2] = w0, w1, w2
+    return _join(
+        y, n, surface, lit, seen, density, (y0, y1, y2, a0, a1, a2), share, replicate, w, c, q, many, points, pool, p,
+        room, leg, power, state, batch, used, poured,
+    )  # fmt: skip
+
+
+@compiled()
+def emit(pairs, first, delta, slot, replicate, seed, tree, room, pool, tag, piece, batch):  # type: ignore[no-untyped-def]
+    """Fills the batch with a sample of each element of the pairs first …; returns the pair that comes next, and the
+    number of samples.
+
+    pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
+    part's rows, −1 for parts that are left out. replicate : 0 or 1. tag, piece : what waits, (STACK, 5) BOX or PIECE,
+    its index, the cluster, its first square and their number; (STACK, 15) corners of a piece, and the guessed weights
+    and distances to the laser point there.
+    """
+    used = poured = 0
+    state, kind, values, lasers = np.zeros(1, np.uint64), room.kind, room.values, room.lasers
+    for pair in range(first, len(pairs)):
+        i, p, began = pairs[pair, 0], pairs[pair, 1], used
+        if lasers.part[i] < 0 or pool.cluster[p, 0, 9] <= 0.0:
+            continue
+        k1, leg, power = lasers.part[i], lasers.leg[i] if room.device else 0.0, room.power[i]
+        lit = (get(lasers.position, i, 0), get(lasers.normal, i, 0), get(lasers.to_laser, i, 0), kind[k1], values[k1])
+        state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
+        state[0] = (state[0] << np.uint64(32)) | mix(state[0], np.uint64(pair))
+        u, v, w = _random(state), _random(state), _random(state)
+        for k in range(len(tree.roots)):
+            if slot[k] < 0:
+                continue
+            surface = (kind[k], values[k], room.outer[k])
+            _push(tag, 0, BOX, tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
+            top = 1
+            while top > 0:
+                top -= 1
+                c = tag[top, 2]
+                gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
+                most, area, width = 0.0, 0.0, 1.0
+                if tag[top, 0] == BOX:
+                    light = _light_of_box(tree, tag[top, 1], surface, room.peak[k], lit, seen, room.air, room.plane)
+                    if light < 0.0:
+                        continue
+                    if gain * light > delta[k]:
+                        top = _open_box(tree, tag, piece, top, surface, lit, seen, room.air, room.plane)
+                        continue
+                else:
+                    n = get(tree.normal, tag[top, 1], 0)
+                    legs = leg + (pool.leg[int(pool.cluster[p, c, 10])] if room.device else 0.0)
+                    verdict, most, area, width = _judged(
+                        piece, top, n, tag[top, 4], surface, delta[k], gain, legs, room, lit, seen
+                    )
+                    if verdict == CLUSTER_FIRST:
+                        top = _open_cluster(
+                            tag, piece, top, n, surface, lit, pool, p, kind, values, room.air, room.plane
+                        )
+                    elif verdict == HALVES:
+                        # At a random place, so that no two replicates have the same elements.
+                        share = 0.4 + 0.2 * _random(state)
+                        top = _halve(tag, piece, top, share, n, surface, lit, seen, room.air, room.plane)
+                    if verdict != SAMPLE:
+                        continue
+                if used == len(batch.row) or poured + MOST_POINTS > len(batch.light):
+                    return pair, began
+                u, v, w = _fraction(u + STEPS[0]), _fraction(v + STEPS[1]), _fraction(w + STEPS[2])
+                rows = _sample(
+                    tree, tag, piece, top, (most, area, width), surface, lit, seen, u, v, w, replicate, pool, p, room,
+                    leg, power, state, batch, used, poured,
+                )  # fmt: skip
+                if rows > 0:
+                    row = slot[k] * len(pairs) + pair
+                    batch.row[used], batch.first[used], batch.last[used] = row, poured, poured + rows
+                    used, poured = used + 1, poured + rows
+    return len(pairs), used
+
+
+@compiled()
+def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
+    """Sets origins and spans (…, 3) of the rays from the hidden points of some samples to the laser point (leg 0) or
+    the FoV point (leg 1)."""
+    for n in range(len(rows)):
+        ends = batch.ends[rows[n]]
+        for c in range(3):
+            origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
+
+
+@compiled()
+def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
+    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…)."""
+    for s in rows:
+        for m in range(batch.first[s], batch.last[s]):
+            light, row = batch.light[m], batch.row[s]
+            shape = tent(
+                batch.time[m, 0], batch.time[m, 1], batch.time[m, 2], batch.at[s, 0], batch.at[s, 1], batch.at[s, 2],
+                light,
+            )  # fmt: skip
+            outside[row] += pour(histogram, row, shape, light)

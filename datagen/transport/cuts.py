@@ -1,0 +1,319 @@
+"""The primary (three bounces) by stochastic cuts: unbiased, whatever the effort.
+
+The light of a laser point x and a pixel is the integral over hidden points y and FoV points z. The FoV points of a
+pixel are drawn anew in each run and form a tree of clusters. Surfaces, as boxes of triangles and pieces of triangles,
+and clusters are cut until every element, a pair of both, is expected to bring at most δ photons. Nothing is left out
+but what no FoV point of the cluster can see. From each element come two samples, one for each of two replicates: a
+point y drawn by its guessed light, and a few FoV points z; two shadow rays decide. A piece of a triangle spreads its
+light over the arrival times of its corners by way of z. Guesses steer the effort; the mean does not depend on them.
+
+The idea of a cut through a tree of surfaces is that of lightcuts (Walter et al., SIGGRAPH 2005), with a random point
+in place of a representative one (stochastic lightcuts: Yuksel, HPG 2019), here for pairs of trees.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from datagen.records import Scene
+from datagen.records.arrays import Floats, Ints, l2_norm
+from datagen.seeding import LightStream
+from datagen.transport.brdf import LAMBERTIAN, lobe_width
+from datagen.transport.cut_steps import STACK, Batch, Room, emit, legs_of, pour_all
+from datagen.transport.fov_clusters import FovClusters, squares_of
+from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.problem import Problem
+from datagen.transport.reference import pairs_of
+from datagen.transport.sampling import stream_seeds
+from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
+from datagen.units import path_from_time
+
+AIM = 0.9
+"""Error that a run aims at, relative to the one asked."""
+COARSER = 4.0
+"""δ of the pilot, in units of that with which all elements together would err by their light."""
+FEW = 64
+"""Most pairs of laser point and pixel of a pilot."""
+FALLS = 0.55
+"""Power of δ with which errors fall, as measured."""
+UNSEEN = 1.15
+"""Error over that by which replicates differ, as measured: shapes that are alike in all of them."""
+DEGREES = 8.0
+"""Independent histograms, counted by their light, over all runs, from which an error is known to a quarter."""
+ENOUGH = 0.2
+"""Precision that is missing, relative to what is there, up to which a run is not repeated."""
+FINEST = 100.0
+"""Most that δ falls in one step: bounds the time of a scene whose pilot met little of its light."""
+OUTSIDE = 1e-3
+"""What light outside the window counts for in the pilot."""
+LEAST_LIGHT = 1e-150
+"""Light that is divided by at least."""
+RUNS = 2
+"""Most times that all pairs are run with another δ."""
+FAINT = 1e-4
+"""Light of an object, relative to all, below which it gets no effort of its own."""
+COARSE = 1e300
+"""A δ with which only what is near is cut."""
+SAMPLES = 1 << 16
+"""Samples that wait for their rays at once."""
+
+
+@dataclass(frozen=True)
+class PrimaryLight:
+    """The primary.
+
+    light : (K, H, T) photons by part, or in one row. outside : (H,) photons outside the window. variance : (H, T)
+    squared standard errors. error : L2 error of the whole, photons. part_errors : object → relative L2 error of its
+    own light. rays : shadow rays.
+    """
+
+    light: Floats
+    outside: Floats
+    variance: Floats
+    error: float
+    part_errors: dict[str, float]
+    rays: float
+
+
+class Run(NamedTuple):
+    """Light of n histograms.
+
+    light : (K, n, T) photons by part, mean of both replicates. outside : (K, n) photons outside the window. square :
+    (G, n) squared L2 norms of half their difference, by group of parts; whole : (n,) of all parts. samples : (K,)
+    number of samples by part.
+    """
+
+    light: Floats
+    outside: Floats
+    square: Floats
+    whole: Floats
+    samples: Ints
+
+
+class Cuts:
+    """A problem, prepared for runs.
+
+    groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, scene, axis = problem, problem.scene, problem.capture.time
+        self.tree, self.pairs = Hierarchy.of(scene), pairs_of(problem.capture)
+        materials, caster, points = problem.materials, problem.caster, problem.points
+        width = np.array([lobe_width(material) for material in scene.materials])
+        peak = materials.values[:, 0] / math.pi * (1.0 + (materials.kind != LAMBERTIAN) / width**2)
+        bin_m = float(path_from_time(axis.width_s))
+        air = scene.attenuation_per_m
+        self.room = Room(
+            materials.kind, materials.values, peak, outer_sides(scene), points, np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
+            axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air, ON_PLANE * self.tree.extent,
+            SMALLEST * self.tree.extent, np.array([*caster.center, caster.half_extent_m]), caster.offset_m,
+        )  # fmt: skip
+        self.squares = squares_of(problem, np.random.default_rng(self.seed(0)))
+        of_objects = np.array([role == "object" for role in scene.roles])
+        self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
+        self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))
+        self._make_room(SAMPLES)
+
+    def seed(self, *numbers: int) -> int:
+        """A seed of random numbers of its own."""
+        return int(stream_seeds(self.problem.seed, LightStream.CUTS, *numbers)[0])
+
+    def _make_room(self, samples: int) -> None:
+        self.batch, self.every = Batch.of(samples), np.arange(samples)
+        self.origin, self.span = np.empty((samples, 3), np.float32), np.empty((samples, 3), np.float32)
+
+    def run(self, which: Ints, delta: Floats, number: int) -> Run:
+        """The light of some histograms, of elements that bring at most `delta` (G,) photons; NaN leaves a group out.
+
+        number : of the run; each draws its own random numbers.
+        """
+        K, T = len(self.problem.scene.part_names), self.problem.capture.time.bins
+        light, outside, samples = np.zeros((K, len(which), T)), np.zeros((K, len(which))), np.zeros(K, np.int64)
+        square, whole = np.zeros((self.groups.max() + 1, len(which))), np.zeros(len(which))
+        active = np.flatnonzero(~np.isnan(delta[self.groups]))
+        squares = self.squares[self.pairs[which, 1]]
+        for count in np.unique(squares):
+            every = np.flatnonzero(squares == count)
+            pieces = 1 + len(every) * max(int(count) * 32, 2 * len(active) * T) // VALUES_AT_ONCE
+            for some in np.array_split(every, pieces):
+                pixels, of = np.unique(self.pairs[which[some], 1], return_inverse=True)
+                rng = np.random.default_rng(self.seed(1, number, int(count), int(some[0])))
+                pool = FovClusters.of(self.problem, pixels, int(count), rng)
+                pairs = np.column_stack([self.pairs[which[some], 0], of])
+                both, over = np.zeros((2, len(active), len(some), T)), np.zeros((2, len(active), len(some)))
+                for r in range(2):
+                    seed = self.seed(2, number, int(some[0]), r)
+                    samples[active] += self._add(pairs, active, delta[self.groups], r, seed, pool, both[r], over[r])
+                light[np.ix_(active, some)] = 0.5 * (both[0] + both[1])
+                outside[np.ix_(active, some)] = over.mean(axis=0)
+                apart = np.subtract(both[0], both[1], out=both[0])
+                whole[some] = 0.25 * np.square(apart.sum(axis=0)).sum(axis=1)
+                for group in np.unique(self.groups[active]):
+                    own = apart[self.groups[active] == group].sum(axis=0)
+                    square[group, some] = 0.25 * np.square(own).sum(axis=1)
+        return Run(light, outside, square, whole, samples)
+
+    def _add(
+        self, pairs: Ints, active: Ints, delta: Floats, replicate: int, seed: int, pool: FovClusters, light: Floats,
+        outside: Floats,
+    ) -> Ints:  # fmt: skip
+        """Adds a replicate of the `active` parts' light of some pairs to light (A, n, T) and outside (A, n); returns
+        the number of samples of each part."""
+        slot, samples, first = np.full(len(delta), -1), np.zeros(len(active), np.int64), 0
+        slot[active] = np.arange(len(active))
+        while first < len(pairs):
+            last, used = emit(
+                pairs, first, delta, slot, replicate, seed, self.tree, self.room, pool, *self.waiting, self.batch
+            )
+            if last == first:
+                self._make_room(2 * len(self.every))
+                continue
+            visible, first = self.every[:used], last
+            samples += np.bincount(self.batch.row[:used] // len(pairs), minlength=len(active))
+            for leg in range(2):
+                origin, span = self.origin[: len(visible)], self.span[: len(visible)]
+                legs_of(self.batch, visible, leg, origin, span)
+                visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
+            pour_all(self.batch, visible, light.reshape(-1, light.shape[2]), outside.reshape(-1))
+        return samples
+
+
+def outer_sides(scene: Scene) -> Floats:
+    """(K,) 1 for parts whose surface is closed with its normals outward, −1 inward, 0 for all others: whether each
+    edge is that of two triangles that run along it in opposite directions, and the sign of the volume."""
+    sides = np.zeros(len(scene.part_names))
+    for k in range(len(sides)):
+        triangles = scene.triangles[scene.face_part == k].astype(np.int64)
+        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+        there, back = (np.sort(a * len(scene.vertices) + b) for a, b in ((start, end), (end, start)))
+        if np.array_equal(there, back) and (np.diff(there) > 0).all():
+            a, b, c = (scene.vertices[triangles[:, j]] for j in range(3))
+            sides[k] = np.sign(np.einsum("nk,nk->n", a - a[:1], np.cross(b - a[:1], c - a[:1])).sum())
+    return sides
+
+
+class _Found:
+    """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and the
+    sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
+
+    light : (K, H, T), outside : (K, H), square : (G, H), whole : (H,) weighted sums of those of `Run`. precision :
+    (G,). spread : (G,) sum of squared differences, and times : (G,) sum of δ^(2 FALLS), whose ratio is a².
+    """
+
+    def __init__(self, cuts: Cuts, bins: int) -> None:
+        K, G, H = len(cuts.groups), cuts.groups.max() + 1, len(cuts.pairs)
+        self.cuts, self.light, self.outside = cuts, np.zeros((K, H, bins)), np.zeros((K, H))
+        self.square, self.precision, self.spread, self.expected = np.zeros((G, H)), *np.zeros((3, G))
+        self.common, self.runs, self.samples = 1.0, 0, 0.0
+
+    def add(self, run: Run, delta: Floats) -> None:
+        """Add a run of all pairs, with `delta` (G,); NaN for groups that were left out."""
+        weight = np.nan_to_num(delta ** (-2 * FALLS))
+        self.light += weight[self.cuts.groups][:, None, None] * run.light
+        self.outside += weight[self.cuts.groups][:, None] * run.outside
+        self.square += weight[:, None] ** 2 * run.square
+        self.precision += weight
+        self.spread += run.square.sum(axis=1)
+        self.expected += np.nan_to_num(delta ** (2 * FALLS))
+        # Groups share FoV points, so that their errors need not be independent.
+        self.common = float(run.whole.sum() / max(run.square.sum(), 1e-300)) if run.whole.any() else self.common
+        self.runs, self.samples = self.runs + 1, self.samples + float(run.samples.sum())
+
+    @property
+    def mean(self) -> Floats:
+        """(K, H, T) light by part."""
+        return self.light / np.maximum(self.precision, 1e-300)[self.cuts.groups][:, None, None]
+
+    def result(self) -> PrimaryLight:
+        """The light, and what is claimed of it."""
+        cuts, light = self.cuts, self.mean
+        each = UNSEEN**2 * self.square / np.maximum(self.precision, 1e-300)[:, None] ** 2
+        of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
+        # Within a histogram, where elements are of like light, variances go with the light.
+        energy = total.sum(axis=1)
+        share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
+        scene, errors = cuts.problem.scene, dict[str, float]()
+        for k, name in enumerate(scene.part_names):
+            own = l2_norm(light[k])
+            if scene.roles[k] == "object" and own > cuts.problem.accuracy.faint_part:
+                errors[name] = math.sqrt(each[cuts.groups[k]].sum()) / own
+        outside = (self.outside / np.maximum(self.precision, 1e-300)[cuts.groups][:, None]).sum(axis=0)
+        rows = light if cuts.problem.split_parts else total[None]
+        return PrimaryLight(
+            rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
+        )  # fmt: skip
+
+
+def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight:
+    """The primary with about the relative L2 error `target` of the whole, and that asked of each object.
+
+    A pilot of some pairs tells how large errors are; all pairs are then run, and once more if that falls short.
+    """
+    cuts = Cuts(problem)
+    every, G = np.arange(len(cuts.pairs)), cuts.groups.max() + 1
+    few = every
+    if len(every) > FEW:
+        place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(every) / FEW
+        few = place.astype(np.int64)
+    # A run that cuts only what is near tells how bright the scene is; light outside the window counts a little, so
+    # that a window without light takes no time.
+    first = cuts.run(few, np.full(G, COARSE), 0)
+    outside = OUTSIDE * l2_norm(first.outside.sum(axis=0))
+    whole = max(math.sqrt(_without_noise(first.light.sum(axis=0), first.whole)), outside, LEAST_LIGHT)
+    asked = np.full(G, target * whole)
+    for k in np.flatnonzero(cuts.groups < G - 1):
+        own = math.sqrt(_without_noise(first.light[k], first.square[cuts.groups[k]]))
+        if own > max(FAINT * whole, problem.accuracy.faint_part * math.sqrt(len(few) / len(every))):
+            asked[cuts.groups[k]] = min(target * whole, problem.accuracy.each_part * own)
+    delta = COARSER * asked / math.sqrt(len(few))
+    pilot, found = cuts.run(few, delta, 1), _Found(cuts, problem.capture.time.bins)
+    light, more = pilot.light, len(every) / len(few)
+    squares = more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS)
+    if more == 1:
+        found.add(pilot, delta)
+    # Light of few histograms has few differences that tell its error, so that it is run more often.
+    each = np.square(light.sum(axis=0)).sum(axis=1)
+    histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
+    times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
+    for _ in range(RUNS):
+        wanted = _precision(problem, cuts, squares, light, target, more) - found.precision
+        wanted[wanted < ENOUGH * found.precision] = 0.0
+        if not wanted.any():
+            break
+        finest = delta / FINEST
+        delta = np.where(
+            wanted > 0, np.maximum((np.maximum(wanted, 1e-300) / times) ** (-0.5 / FALLS), finest), np.nan
+        )
+        for _ in range(times):
+            found.add(cuts.run(every, delta, 2 + found.runs), delta)
+        delta = np.fmin(delta, finest * FINEST)
+        light, more, squares = found.mean, 1.0, found.spread / np.maximum(found.expected, 1e-300)
+    return found.result()
+
+
+def _without_noise(light: Floats, squares: Floats) -> float:
+    """The square of the L2 norm of light (n, T) with noise of the L2 norms `squares` (n,), at least a tenth of it."""
+    norm = l2_norm(light) ** 2
+    return max(norm - float(squares.sum()), 0.1 * norm)
+
+
+def _precision(problem: Problem, cuts: Cuts, squares: Floats, light: Floats, target: float, more: float) -> Floats:
+    """(G,) precision with which the whole and each object meet their targets, from the `squares` a² of the groups.
+
+    light : (K, n, T) of some pairs, 1/`more` of all.
+    """
+    asked, scene = problem.accuracy, problem.scene
+    whole = more * l2_norm(light.sum(axis=0)) ** 2
+    # All groups alike: an element is worth its rays where it errs by as much as any other.
+    precision = np.full(len(squares), squares.sum() / max((AIM * target) ** 2 * whole, 1e-300))
+    for k in range(len(light)):
+        own = more * l2_norm(light[k]) ** 2
+        if scene.roles[k] == "object" and own > max(FAINT**2 * whole, asked.faint_part**2):
+            group = cuts.groups[k]
+            precision[group] = max(precision[group], squares[group] / ((AIM * asked.each_part) ** 2 * own))
+    return precision
