@@ -31,9 +31,9 @@ from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
-from datagen.transport.visibility.coincidence import set_apart
-from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.coincidence import set_apart
+from datagen.transport.lines_of_sight import lit_points, seen_points
+from datagen.transport.rays import Raycaster
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
 
@@ -280,7 +280,6 @@ def _parameters(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, Sc
         **_scalars("transient.part_error", transient.part_errors),
         **_scalars("transport.sampler", transient.samplers),
         **_scalars("transport.rays", transient.rays),
-        **({"transport.second_opinion": transient.second_opinion} if transient.second_opinion else {}),
         "histogram.counts": int(counts.histogram.sum()),
     }
 

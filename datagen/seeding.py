@@ -40,8 +40,6 @@ class LightStream(IntEnum):
     FACTORISED_FIRST = 33
     FACTORISED_SECOND = 34
     FACTORISED_LIT = 35
-    CLUSTERS = 64
-    PATCHES = 65
     CUTS = 66
     BLOCKS = 80
     PATHS = 81

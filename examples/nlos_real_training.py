@@ -34,7 +34,7 @@ from datagen.config.imported import ImportOptions
 from datagen.formats.matlab import read_mat
 from datagen.reconstruction.backprojection import Scan, backprojected, whitened
 from datagen.report.style import captioned, house_style, save_png
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 from scene_library.objects.classes import build, classes_of
 

@@ -22,7 +22,7 @@ from datagen.labels.boxes import classes_in
 from datagen.pipeline import BACKGROUND_FIELDS, SceneLight, Setup, sample_from, simulated_light
 from datagen.records import Capture, Sample, Scene, Transient
 from datagen.records.arrays import Floats
-from datagen.transport.visibility.lines_of_sight import lit_points
+from datagen.transport.lines_of_sight import lit_points
 
 
 def build_from(

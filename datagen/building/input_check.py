@@ -20,7 +20,7 @@ from datagen.labels.triangles import open3d_for_labels
 from datagen.records import Capture, Scene
 from datagen.records.label_fields import LABEL_FIELDS
 from datagen.scene import check_scene_config, meshes_named
-from datagen.transport.visibility.coincidence import set_apart
+from datagen.transport.coincidence import set_apart
 from datagen.units import path_from_time
 
 SCENES_TRIED = 16

@@ -16,7 +16,7 @@ from datagen.evidence import Evidence, own_evidence
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ from datagen.records.arrays import Floats
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from scene_library.meshes import BadMesh, read_mesh
 
 Group = Literal["hand", "mesh", "zones"]

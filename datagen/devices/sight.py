@@ -8,7 +8,7 @@ from datagen.records import Capture, Scene
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind
 from datagen.transport.fields_of_view import sensitivity
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import time_from_path
 
 RAYS_ALONG = 16

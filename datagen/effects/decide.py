@@ -20,7 +20,7 @@ from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transien
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind, check_number, check_seed
 from datagen.transport import transient_of
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """All effects, in the order in which light meets them."""

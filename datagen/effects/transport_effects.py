@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
+from datagen.effects.clearance import flat_patch, pyramids_clear
 from datagen.effects.rule import Change, Effect
 from datagen.effects.trial import Trial, affordable, run_trial
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.clearance import flat_patch, pyramids_clear
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import path_from_time
 
 PAIRS_CHECKED = 1 << 22

@@ -28,7 +28,7 @@ from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport import transient_of
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 SHARE = 0.02
 """Share of the transport's cost that a trial run may take: with less its estimates are noisier and leave out less."""

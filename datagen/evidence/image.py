@@ -28,8 +28,8 @@ from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
 from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.quadrature.weights import weight
-from datagen.transport.visibility.raycast import Raycaster, lifted_and_scaled
+from datagen.transport.rays import Raycaster, lifted_and_scaled
+from datagen.transport.weights import weight
 from datagen.units import path_from_time
 
 SCAN_PAIRS = 16

@@ -23,8 +23,8 @@ from datagen.transport import transient_of
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.flood import as_scan, sum_of_flood
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.lines_of_sight import lines_of_sight
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.lines_of_sight import lines_of_sight
+from datagen.transport.rays import Raycaster
 
 SAMPLES = 1024
 """Paths of each pair of laser point and pixel where the accuracy states a target. Light of one bounce is exact with

@@ -21,8 +21,8 @@ from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
 from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
-from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.lines_of_sight import lit_points, seen_points
+from datagen.transport.rays import Raycaster
 
 _MARK_M = 0.04
 """Radius of the spheres that mark laser and sensor, metres, to be seen in a room."""

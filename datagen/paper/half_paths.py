@@ -18,7 +18,7 @@ from datagen.paper.convolution import Paths
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import get, subtract, transmittance
-from datagen.transport.visibility.raycast import lifted_and_scaled
+from datagen.transport.rays import lifted_and_scaled
 
 Singles = NDArray[np.float32]
 

@@ -24,7 +24,7 @@ from datagen.transport.brdf import Vector
 from datagen.transport.brdf.sin_lobe import azimuth_sine
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import path_from_time
 
 Grid = Literal["angles", "solid_angle"]

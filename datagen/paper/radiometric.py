@@ -34,12 +34,12 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.checks import check_integer, check_kind, check_seed
 from datagen.seeding import LightStream
 from datagen.transport.brdf import cosine_directions
+from datagen.transport.coincidence import set_apart
 from datagen.transport.fields_of_view import PixelCones, fov_points
 from datagen.transport.flood import as_scan, sum_of_flood
 from datagen.transport.laser_points import LaserPoints
+from datagen.transport.rays import Raycaster
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
-from datagen.transport.visibility.coincidence import set_apart
-from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import path_from_time
 
 FOV_POINTS = 16

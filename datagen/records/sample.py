@@ -43,11 +43,10 @@ class Transient:
     met_target : whether the claimed error is within a quarter of the target, and each object's within the part
         target; None with a number of samples.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
-        than `Accuracy.faint_part` are left out, and all parts where the primary is sampled (narrow lobes). The error
-        is above the part target where an object is so nearly hidden that its light was not worth the rays.
-    samplers : component → how its light was found: "quadrature", "blocks" or "paths" (docs/physics.md).
-    rays : component → rays, and surface elements, that its light took.
-    second_opinion : how unbiased samples agree with light by quadrature, in words; empty without such light.
+        than `Accuracy.faint_part` are left out, and all parts where the primary is found by paths (narrow lobes). The
+        error is above the part target where an object is so nearly hidden that its light was not worth the rays.
+    samplers : component → how its light was found: "cuts", "blocks" or "paths" (docs/physics.md).
+    rays : component → rays that its light took.
 
     Raises
     ------
@@ -66,7 +65,6 @@ class Transient:
     part_errors: Mapping[str, float] = field(default_factory=dict)
     samplers: Mapping[str, str] = field(default_factory=dict)
     rays: Mapping[str, float] = field(default_factory=dict)
-    second_opinion: str = ""
 
     def __post_init__(self) -> None:
         check_kind("Transient.time", self.time, TimeAxis)
@@ -85,7 +83,6 @@ class Transient:
         for name, what in (("seconds", "stage"), ("rays", "component"), ("part_errors", "part")):
             check_mapping(f"Transient.{name}", getattr(self, name), *_NUMBERS, remedy=f"{what} → number")
         check_mapping("Transient.samplers", self.samplers, str, remedy="component → sampler")
-        check_kind("Transient.second_opinion", self.second_opinion, str)
         if self.error_bound is not None:
             check_kind("Transient.error_bound", self.error_bound, *_NUMBERS)
         if self.met_target is not None:

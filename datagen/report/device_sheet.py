@@ -22,7 +22,7 @@ from datagen.records import Accuracy, Capture, Lambertian, Part, Scene, Transien
 from datagen.records.arrays import Floats
 from datagen.report.style import captioned, check_png, house_style, save_png
 from datagen.transport import transient_of
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 PLACE = np.array([0.0, 0.0, 0.5])

@@ -33,7 +33,7 @@ from datagen.transport.effort import REPLICATES
 from datagen.transport.fields_of_view import fov_points
 from datagen.transport.geometry import get
 from datagen.transport.problem import Problem
-from datagen.transport.visibility.raycast import lifted_and_scaled
+from datagen.transport.rays import lifted_and_scaled
 from datagen.units import path_from_time
 
 VERTICES = 128

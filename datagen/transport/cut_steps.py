@@ -15,13 +15,24 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.arrival_times import pour, tent, widened
-from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, evaluate_at_most
+from datagen.transport.brdf import LAMBERTIAN, dot, evaluate_at_most
 from datagen.transport.bvh import CLUSTER, triangle_by_area
-from datagen.transport.geometry import above, bounding_sphere, corner, cross, distance, get, longest, put, subtract
-from datagen.transport.geometry import transmittance
+from datagen.transport.geometry import (
+    above,
+    bounding_sphere,
+    corner,
+    cross,
+    distance,
+    get,
+    longest,
+    put,
+    subtract,
+    transmittance,
+)
 from datagen.transport.laser_points import LaserPoints
+from datagen.transport.rays import lifted_and_scaled
 from datagen.transport.sampling import mix
-from datagen.transport.visibility.raycast import lifted_and_scaled
+from datagen.transport.weights import weight
 
 COARSEST = 1.0
 """Largest size of an element relative to its distance, whatever its light."""
@@ -53,9 +64,9 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 class Room(NamedTuple):
     """What all pairs share.
 
-    kind, values : of the materials. peak : (K,) largest BRDF of each part, 1/sr. outer : (K,) 1 for closed meshes whose
-    normals point outward, −1 inward, 0 for other meshes. lasers, power : laser points, and
-    the share of light that air lets through to them. per_metre, start, bins : bins of a metre of path, number of the
+    kind, values : of the materials. peak : (K,) largest BRDF of each part, 1/sr. outer : (K,) 1 for closed meshes
+    whose normals point outward, −1 inward, 0 for other meshes. lasers, power : laser points, and the share of light
+    that air lets through to them. per_metre, start, bins : bins of a metre of path, number of the
     first bin, and of all bins. device : whether the legs to laser and sensor count. air : attenuation, 1/m. plane :
     distance within which a point lies on a plane, m. smallest : side of the smallest piece that is cut, m. frame,
     offset : of embree, and by how much rays begin off their surfaces, m.
@@ -125,8 +136,8 @@ def _seen_by(pool, p, c, kind, values):  # type: ignore[no-untyped-def]
     """Cluster c of pixel p: middle, mean normal, radius, sine and thickness, and direction to the sensor and BRDF of
     one of its points."""
     row, q = pool.cluster[p], int(pool.cluster[p, c, 10])
-    k = pool.part[q]
-    return get(row, c, 0), get(row, c, 3), row[c, 6], row[c, 7], row[c, 8], get(pool.to_sensor, q, 0), kind[k], values[k]
+    k, back = pool.part[q], get(pool.to_sensor, q, 0)
+    return get(row, c, 0), get(row, c, 3), row[c, 6], row[c, 7], row[c, 8], back, kind[k], values[k]
 
 
 @compiled()
@@ -347,32 +358,6 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _weight(y, n, surface, lit, z, n3, to_sensor, kind3, values3, air):  # type: ignore[no-untyped-def]
-    """Light that goes from the laser point by way of y to the FoV point z and on to the sensor, for each m² at y and
-    unit of gain, if nothing stands between; and the lengths of both legs.
-
-    n, surface : normal and BRDF at y. n3, kind3, values3 : those at z.
-    """
-    (kind2, values2, _), (x, n1, to_laser, kind1, values1) = surface, lit
-    d1, d3 = subtract(y, x), subtract(y, z)
-    square1, square3 = dot(d1, d1), dot(d3, d3)
-    r1, r3 = math.sqrt(square1), math.sqrt(square3)
-    up1, up3 = dot(d1, n1), dot(d3, n3)
-    in2, out2 = -dot(d1, n), -dot(d3, n)
-    # One end faces away, or both lie on different sides of the surface, which scatters on either.
-    if up1 <= 0.0 or up3 <= 0.0 or in2 * out2 <= 0.0:
-        return 0.0, r1, r3
-    if in2 < 0.0:
-        n = (-n[0], -n[1], -n[2])
-    w1, w3 = (d1[0] / r1, d1[1] / r1, d1[2] / r1), (d3[0] / r3, d3[1] / r3, d3[2] / r3)
-    f = (up1 * up3) * (in2 * out2) / (square1 * square1 * square3 * square3) * transmittance(air, r1 + r3)
-    f *= evaluate(kind1, values1, n1, to_laser, w1)
-    f *= evaluate(kind2, values2, n, (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2]))
-    f *= evaluate(kind3, values3, n3, w3, to_sensor)
-    return f, r1, r3
-
-
-@compiled(forceinline=True)
 def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore[no-untyped-def]
     """Mean and variance, m and m², of the change of the path by way of y over a flat cluster with the middle z.
 
@@ -398,12 +383,12 @@ def _join(  # type: ignore[no-untyped-def]
     y, n, surface, lit, seen, density, corners, share, replicate, u, c, q, many, points, pool, p, room, leg, power,
     state, batch, used, poured,
 ):  # fmt: skip
-    """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows of
-    light it has, 0 if it brings none.
+    """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows
+    of light it has, 0 if it brings none.
 
-    density : 1/m², with which y is drawn. corners, share : corners of the piece that y lies on, their distances to the
-    laser point, and barycentric coordinates of y. u : random number that chooses the FoV points. c, q, many, points :
-    cluster, its first square, number of its squares, and how many points.
+    density : 1/m², with which y is drawn. corners, share : corners of the piece that y lies on, their distances to
+    the laser point, and barycentric coordinates of y. u : random number that chooses the FoV points. c, q, many,
+    points : cluster, its first square, number of its squares, and how many points.
     """
     (y0, y1, y2, a0, a1, a2), (s0, s1, s2), row = corners, share, pool.cluster[p, c]
     first = p * (len(pool.part) // len(pool.cluster))
@@ -415,7 +400,8 @@ def _join(  # type: ignore[no-untyped-def]
             continue
         z, n3, back = get(pool.position, j, 0), get(pool.normal, j, 0), get(pool.to_sensor, j, 0)
         last_leg, mean, variance = pool.leg[j], 0.0, 0.0
-        w, r1, r3 = _weight(y, n, surface, lit, z, n3, back, room.kind[k3], room.values[k3], room.air)
+        at = (z, n3, back, room.kind[k3], room.values[k3])
+        w, r1, r3 = weight(y, n, surface[0], surface[1], lit, at, 0.0, room.air)
         light = power * each * w * pool.weight[j] / density
         if light <= 0.0:
             continue

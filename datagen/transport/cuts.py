@@ -23,13 +23,13 @@ from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
+from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
 from datagen.transport.cut_steps import STACK, Batch, Room, emit, legs_of, pour_all
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
-from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
 from datagen.units import path_from_time
 
 AIM = 0.9
@@ -109,9 +109,10 @@ class Cuts:
         bin_m = float(path_from_time(axis.width_s))
         air = scene.attenuation_per_m
         self.room = Room(
-            materials.kind, materials.values, peak, outer_sides(scene), points, np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
-            axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air, ON_PLANE * self.tree.extent,
-            SMALLEST * self.tree.extent, np.array([*caster.center, caster.half_extent_m]), caster.offset_m,
+            materials.kind, materials.values, peak, outer_sides(scene), points,
+            np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
+            axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
+            ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent, np.array([*caster.center, caster.half_extent_m]), caster.offset_m,
         )  # fmt: skip
         self.squares = squares_of(problem, np.random.default_rng(self.seed(0)))
         of_objects = np.array([role == "object" for role in scene.roles])
@@ -198,8 +199,8 @@ def outer_sides(scene: Scene) -> Floats:
 
 
 class _Found:
-    """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and the
-    sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
+    """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and
+    the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
 
     light : (K, H, T), outside : (K, H), square : (G, H), whole : (H,) weighted sums of those of `Run`. precision :
     (G,). spread : (G,) sum of squared differences, and times : (G,) sum of δ^(2 FALLS), whose ratio is a².
@@ -227,7 +228,7 @@ class _Found:
     @property
     def mean(self) -> Floats:
         """(K, H, T) light by part."""
-        return self.light / np.maximum(self.precision, 1e-300)[self.cuts.groups][:, None, None]
+        return np.asarray(self.light / np.maximum(self.precision, 1e-300)[self.cuts.groups][:, None, None])
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""

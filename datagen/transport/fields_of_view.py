@@ -16,8 +16,8 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.visibility.lines_of_sight import lines_of_sight
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.lines_of_sight import lines_of_sight
+from datagen.transport.rays import Raycaster
 
 
 class FovPool(NamedTuple):

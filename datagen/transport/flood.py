@@ -28,9 +28,9 @@ from datagen.records.arrays import Floats
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
+from datagen.transport.rays import Raycaster
 from datagen.transport.reference import aperture_area, brdf, dots
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
-from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
 RAYS = 1 << 15

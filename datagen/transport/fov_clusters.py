@@ -28,10 +28,10 @@ class FovClusters(NamedTuple):
     weight : (2 P M,) m² sr, with the air on the leg to the sensor; those of a replicate stand for the whole pixel.
     leg : (2 P M,) distance to the sensor, m.
     cluster : (P, C, 18) the pixel first, then the four quarters of cluster c at 4 c + 1 …: middle (0 … 2) and mean
-        normal (3 … 5) of the points; radius (6), m; sine of the largest angle of a normal with the mean, 2 beyond a
-        right angle (7); largest distance from the plane through the middle (8), m; weight of one replicate (9), m² sr,
-        0 if no point is valid; index of a valid point (10). If the pixel is flat: the two sides of the cluster (11 …
-        16), m, and the distance of its middle to the sensor (17), m; else zeros.
+        normal (3 … 5) of the points; radius (6), m; sine of the largest angle of a normal with the mean, 2 beyond
+        a right angle (7); largest distance from the plane through the middle (8), m; weight of one replicate (9), m²
+        sr, 0 if no point is valid; index of a valid point (10). If the pixel is flat: the two sides of the cluster
+        (11 … 16), m, and the distance of its middle to the sensor (17), m; else zeros.
     """
 
     position: Floats
@@ -60,14 +60,16 @@ class FovClusters(NamedTuple):
             )
             cluster[flat, :, :3], cluster[flat, :, 11:17], cluster[flat, :, 17] = middle + sensor.position, sides, leg
             # About the exact middle the radius of a cluster is at most the half of its diagonals.
-            cluster[flat, :, 6] = np.maximum(
-                np.linalg.norm(sides[..., :3] + sides[..., 3:], axis=2), np.linalg.norm(sides[..., :3] - sides[..., 3:], axis=2)
-            ) / 2  # fmt: skip
+            one, two = sides[..., :3], sides[..., 3:]
+            diagonals = np.linalg.norm([one + two, one - two], axis=3)
+            cluster[flat, :, 6] = diagonals.max(axis=0) / 2
         gain = found.weight * np.exp(-problem.scene.attenuation_per_m * np.where(valid, found.last_leg, 0.0))
         # Which point of a pixel becomes which of all.
         cluster[..., 10] += 2 * squares * np.arange(len(pixels))[:, None]
-        points = (of.reshape(-1, 3) for of in (found.position, found.normal, found.to_sensor))
-        return cls(*points, found.part.ravel(), gain.ravel(), found.last_leg.ravel(), cluster)
+        return cls(
+            found.position.reshape(-1, 3), found.normal.reshape(-1, 3), found.to_sensor.reshape(-1, 3),
+            found.part.ravel(), gain.ravel(), found.last_leg.ravel(), cluster,
+        )  # fmt: skip
 
 
 def is_flat(cluster: Floats) -> Bools:
@@ -120,7 +122,7 @@ def _clusters(found: FovPool, valid: Bools, size: int) -> Floats:
 
 
 def _exact(corners: Floats, point: Floats, normal: Floats, level: int) -> tuple[Floats, Floats, Floats]:
-    """Middle (P, C, 3), sides (P, C, 6) and distance to the sensor (P, C) of the clusters of pixels that see one plane.
+    """Middle (P, C, 3), sides (P, C, 6) and distance to the sensor (P, C) of clusters of pixels that see one plane.
 
     corners : (P, 4, 3) of the pixels. point, normal : (P, 3) of the planes. All are metres from the sensor.
     """

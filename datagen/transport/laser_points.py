@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.records import Laser, Scene
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 
 class LaserPoints(NamedTuple):

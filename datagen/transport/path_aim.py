@@ -17,7 +17,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, evaluate, widen
 from datagen.transport.geometry import distance, subtract
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 EVENLY = 0.25
 """Share of a part's points that are drawn evenly over its area in spite of the guesses. Where a guess is far too low,

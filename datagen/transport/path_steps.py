@@ -17,8 +17,8 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
 from datagen.transport.geometry import cross, subtract, transmittance
 from datagen.transport.path_aim import draw_triangle
+from datagen.transport.rays import lifted_and_scaled
 from datagen.transport.sampling import BITS, mix, owen_scrambled, word_of
-from datagen.transport.visibility.raycast import lifted_and_scaled
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 BY_AREA = 0.5

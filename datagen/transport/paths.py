@@ -40,9 +40,9 @@ from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
 from datagen.transport.path_steps import Found, Rays, Vertices, World, head, room, some
+from datagen.transport.rays import Raycaster
 from datagen.transport.reference import Paths, dots
 from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, direction_numbers, stream_seeds
-from datagen.transport.visibility.raycast import Raycaster
 
 AT_ONCE = 1 << 14
 """Samples in a batch. More take more memory (1 KB each); fewer spend more time between the compiled loops."""

@@ -12,7 +12,7 @@ from datagen.records.arrays import Floats
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones, PixelPatches
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
@@ -93,7 +93,6 @@ class Estimate:
     part_errors: Mapping[str, float] = field(default_factory=dict)
     samplers: Mapping[str, str] = field(default_factory=dict)
     rays: Mapping[str, float] = field(default_factory=dict)
-    second_opinion: str = ""
 
 
 def nothing(problem: Problem) -> Estimate:

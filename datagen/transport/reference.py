@@ -32,11 +32,11 @@ from datagen.records.accuracy import MAX_BOUNCES
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
+from datagen.transport.coincidence import set_apart
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
 from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.rays import Raycaster
 from datagen.transport.sampling import stream_seeds
-from datagen.transport.visibility.coincidence import set_apart
-from datagen.transport.visibility.raycast import Raycaster
 from datagen.units import time_from_path
 
 GOES_ON = 0.5

@@ -1,8 +1,8 @@
 """Light transport: from scene and capture to transient, and the choice of the sampler.
 
-With a number of samples (`Accuracy.samples`) all light comes by plain paths. With a target the primary comes by
-quadrature (`error_control/primary.py`) where that is possible, four bounces and more by blocks (`blocks.py`), and
-direct light and what these leave by plain paths; `effort.py` decides how much of each.
+With a number of samples (`Accuracy.samples`) all light comes by plain paths. With a target three bounces come by cuts
+(`cuts.py`), four and more by blocks (`blocks.py`), and direct light and what these leave far from the target by plain
+paths (`path_light.py`).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.records.checks import check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.brdf import MaterialTable
+from datagen.transport.coincidence import set_apart
 from datagen.transport.cuts import PrimaryLight, primary_by_cuts
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
 from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.path_light import PathsOf, with_samples
 from datagen.transport.problem import Estimate, Problem, nothing
-from datagen.transport.visibility.coincidence import set_apart
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 MET = 1.25
 """Claimed error over target up to which a target counts as met: it is aimed at, and a claim is an estimate."""
@@ -69,7 +69,7 @@ def simulate(
     InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres; a
         laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object; surfaces of
         two parts coincide where light gets to, and one is taken to lie on the other
-        (`transport/visibility/coincidence.py`).
+        (`transport/coincidence.py`).
 
     Examples
     --------

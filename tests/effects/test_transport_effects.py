@@ -15,7 +15,7 @@ from datagen.effects import EFFECTS, EffectDecisions, decide_transport_effects, 
 from datagen.records import Accuracy, Capture, Laser, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 DEVICE = (1.5, 0.1, 1.3)
 SPOTS = [(0, y, z) for y in (-0.8, 0.8) for z in (0.8, 1.6)]

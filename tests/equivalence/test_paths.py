@@ -23,7 +23,7 @@ from datagen.records import Transient
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.paths import AT_ONCE, path_light, sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import time_from_path
 
 RUNS, LEVEL = 16, 1e-4

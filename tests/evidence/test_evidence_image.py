@@ -17,7 +17,7 @@ from datagen.evidence.own import evidence_and_gain
 from datagen.labels import make_labels
 from datagen.labels.images import hidden_surface
 from datagen.records import Rectangle
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 LABELS = LabelsConfig(rows=64, columns=64)
 TIME = dg.TimeAxis(bins=300, width_s=1e-10, origin="wall")

@@ -13,7 +13,7 @@ from rooms import rectangle
 import datagen as dg
 from datagen.evidence import light_in_sight
 from datagen.evidence.in_sight import objects_in_sight
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 

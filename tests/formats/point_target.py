@@ -10,8 +10,8 @@ from datagen.records import Sample
 from datagen.records.sample import geometry_fields
 from datagen.scene import generate_scene
 from datagen.store import schema_of
-from datagen.transport.visibility.lines_of_sight import lit_points, seen_points
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.lines_of_sight import lit_points, seen_points
+from datagen.transport.rays import Raycaster
 
 LIGHT = 299_792_458.0
 CONFOCAL = {"scan": {"rows": 4, "columns": 5, "width_m": 0.8, "height_m": 0.6}}

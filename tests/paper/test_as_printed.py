@@ -20,7 +20,7 @@ from scipy import stats
 import datagen as dg
 from datagen.errors import InputError
 from datagen.paper import secondary
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 Vector = NDArray[np.float64]
 C_M_PER_S = 299_792_458.0

@@ -14,7 +14,7 @@ from datagen.transport.flood import as_scan
 from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of
 from datagen.transport.simulate import transient_of
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from datagen.units import time_from_path
 
 CONFIG = Path(__file__).parents[2] / "configs" / "zone_sensor.yaml"

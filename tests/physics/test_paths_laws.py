@@ -13,7 +13,7 @@ from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.paths import sample_paths
 from datagen.transport.reference import pairs_of, reference
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 APERTURE_M2 = np.pi * 0.02**2
 

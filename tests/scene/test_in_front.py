@@ -14,7 +14,7 @@ from datagen.labels.frame import ViewFrame, pixel_places, scan_place
 from datagen.records import Rectangle, Scene
 from datagen.scene import generate_scene
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 from scene_library.sightlines import first_faces
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from datagen.records import Laser, OnSurfaces, Sensor
 from datagen.records.arrays import Bools, Floats
-from datagen.transport.visibility.raycast import Hits, Raycaster
+from datagen.transport.rays import Hits, Raycaster
 
 INWARD, INWARD_AT_LEAST_RAD = 1e-3, 2e-6
 """How far the ray of a line of sight is moved towards its pixel's middle: fraction of the way there, and least angle,

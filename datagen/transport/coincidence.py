@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.memory import VALUES_AT_ONCE
-from datagen.transport.visibility.raycast import Raycaster
+from datagen.transport.rays import Raycaster
 
 PLANE, APART = 1e-6, 1e-7
 """Distance between two planes up to which they count as one, and depth of an overlap in the plane up to which

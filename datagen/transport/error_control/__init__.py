@@ -1,1 +1,0 @@
-"""How much effort each integrator gets, from first runs that measure error and cost; and a check of results."""

@@ -1,1 +1,0 @@
-"""Quadrature over surface elements: light of three and four bounces without noise."""

@@ -1,1 +1,0 @@
-"""What is visible from where: rays, the BVH, and proofs that nothing stands between."""
