@@ -51,6 +51,11 @@ BLURRED = 0.25
 by, from which on a sample has several FoV points."""
 MOST_POINTS = 4
 """Most FoV points of a sample, a power of 4."""
+STRAIGHT, LEVELS = 0.02, 2
+"""Bend of the arrival times over an element, relative to their span, up to which they count as linear, and most times
+that an element with more is quartered for them: such errors are alike in all replicates."""
+MOST_ROWS = 4**LEVELS
+"""Most rows of light of a sample."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 BOX, PIECE = 0, 1
@@ -92,27 +97,26 @@ class Room(NamedTuple):
 class Batch(NamedTuple):
     """Samples that wait for their rays.
 
-    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. at :
-    (n, 3) guessed weights at the corners of the element. first, last : (n,) span of the sample in the arrays `light`,
-    photons, and `time`, (…, 3) arrival times by way of the corners, bins.
+    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. first,
+    last : (n,) span of the sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners
+    of a triangle, bins; and `at`, (…, 3) weights there.
     """
 
     ends: NDArray[np.float32]
     row: Ints
-    at: Floats
     first: Ints
     last: Ints
     light: Floats
     time: Floats
+    at: Floats
 
     @classmethod
     def of(cls, n: int) -> Batch:
         """Room for n samples."""
         row, first, last = (np.empty(n, np.int64) for _ in range(3))
-        many = n * MOST_POINTS // 2
-        return cls(
-            np.empty((n, 3, 3), np.float32), row, np.empty((n, 3)), first, last, np.empty(many), np.empty((many, 3))
-        )
+        many = 4 * n
+        time, at = (np.empty((many, 3)) for _ in range(2))
+        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at)
 
 
 @compiled(forceinline=True)
@@ -310,21 +314,22 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  # type: ignore[no-untyped-def]
-    """What becomes of the piece at `top`, and: largest guess on it, its area, m², and the bins it spreads over.
+    """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, and by how
+    much the mean of the times at its corners is later than the time at its middle, bins.
 
     leg : from the laser and to the sensor, metres.
     """
     x, z, size = lit[0], seen[0], seen[2]
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return NOTHING, 0.0, 0.0, 1.0
+        return NOTHING, 0.0, 0.0, 1.0, 0.0
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     if size > COARSEST_CLUSTER * d3 and size > 0.5 * h and many > 1:
-        return CLUSTER_FIRST, 0.0, 0.0, 1.0
+        return CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0
     may_halve = h > room.smallest
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return HALVES, 0.0, 0.0, 1.0
+        return HALVES, 0.0, 0.0, 1.0, 0.0
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     if most <= 0.0 or lit[3] != LAMBERTIAN or seen[6] != LAMBERTIAN or surface[0] != LAMBERTIAN:
@@ -336,12 +341,12 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  #
     )  # fmt: skip
     late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
     width = max(1.0, (late - early) * room.per_metre)
-    bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre / width
+    bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre
     # What arrives outside the window only counts as a sum.
     is_inside = (late + 2 * size + leg) * room.per_metre > room.start
     is_inside &= (middle - h - 2 * size + leg) * room.per_metre < room.start + room.bins
-    is_bright = gain * area * most * (1.0 + BENT * bend) > delta * math.sqrt(width)
-    return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width
+    is_bright = gain * area * most * (1.0 + BENT * bend / width) > delta * math.sqrt(width)
+    return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width, bend
 
 
 @compiled(forceinline=True)
@@ -378,60 +383,83 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore
     return mean, variance
 
 
+@compiled()
+def _spread(batch, rows, corners, level, x, z, path, variance, light, per):  # type: ignore[no-untyped-def]
+    """Spreads light over the arrival times of a piece, by way of its 4^level equal parts; returns the next free row.
+
+    corners : (3, 3) and (3,) corners and weights there. path : that all have in common, metres. variance : of the
+    paths over the cluster, bins². per : bins of a metre.
+    """
+    (y0, y1, y2, w0, w1, w2), n = corners, 1 << level
+    whole = n * n * (w0 + w1 + w2)
+    for i in range(n):
+        for j in range(2 * (n - i) - 1):
+            # Parts that stand upright and, between them, upside down.
+            a, down = j // 2, j % 2
+            for v in range(3):
+                b = (
+                    i + down * (v == 0) + (1 - down) * (v == 1) + down * (v == 1),
+                    a + down * (v != 1) + (1 - down) * (v == 2),
+                )
+                s1, s2 = b[0] / n, b[1] / n
+                s0 = 1.0 - s1 - s2
+                y = (
+                    s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
+                    s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
+                )  # fmt: skip
+                batch.time[rows, v] = (distance(y, x) + distance(y, z) + path) * per
+                batch.at[rows, v] = s0 * w0 + s1 * w1 + s2 * w2
+            t = widened(batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2], variance)
+            batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = t
+            batch.light[rows] = light * (batch.at[rows, 0] + batch.at[rows, 1] + batch.at[rows, 2]) / whole
+            rows += 1
+    return rows
+
+
 @compiled(forceinline=True)
 def _join(  # type: ignore[no-untyped-def]
-    y, n, surface, lit, seen, density, corners, share, replicate, u, c, q, many, points, pool, p, room, leg, power,
-    state, batch, used, poured,
+    y, n, surface, lit, seen, density, corners, level, bend, replicate, u, c, q, many, points, pool, p, room, leg,
+    power, state, batch, used, poured,
 ):  # fmt: skip
     """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows
     of light it has, 0 if it brings none.
 
-    density : 1/m², with which y is drawn. corners, share : corners of the piece that y lies on, their distances to
-    the laser point, and barycentric coordinates of y. u : random number that chooses the FoV points. c, q, many,
-    points : cluster, its first square, number of its squares, and how many points.
+    density : 1/m², with which y is drawn. corners : of the piece that y lies on, and weights there; its times are
+    taken for linear on each of 4^level parts, which are `bend` bins late. u : random number that chooses the FoV
+    points. c, q, many, points : cluster, its first square, number of its squares, and how many points.
     """
-    (y0, y1, y2, a0, a1, a2), (s0, s1, s2), row = corners, share, pool.cluster[p, c]
-    first = p * (len(pool.part) // len(pool.cluster))
-    each, total, chosen, rows, per = many // points, 0.0, -1, poured, room.per_metre
+    row, first = pool.cluster[p, c], p * (len(pool.part) // len(pool.cluster))
+    each, total, chosen, per = many // points, 0.0, -1, room.per_metre
     for m in range(points):
         j = first + 2 * (q + m * each + min(int(u * each), each - 1)) + replicate
         k3 = pool.part[j]
         if k3 < 0:
             continue
         z, n3, back = get(pool.position, j, 0), get(pool.normal, j, 0), get(pool.to_sensor, j, 0)
-        last_leg, mean, variance = pool.leg[j], 0.0, 0.0
         at = (z, n3, back, room.kind[k3], room.values[k3])
-        w, r1, r3 = weight(y, n, surface[0], surface[1], lit, at, 0.0, room.air)
+        w, _, _ = weight(y, n, surface[0], surface[1], lit, at, 0.0, room.air)
         light = power * each * w * pool.weight[j] / density
-        if light <= 0.0:
-            continue
-        # All points count if the one sees y that is drawn by its light.
+        # One of them, drawn by its light, stands for all.
         total += light
-        if total == light or _random(state) * total < light:
+        if light > 0.0 and (total == light or _random(state) * total < light):
             chosen = j
-        if row[17] > 0.0:
-            # Times, which change most over a pixel, are those of all of a flat cluster.
-            z, last_leg = seen[0], row[17]
-            sides = (row[11], row[12], row[13], row[14], row[15], row[16])
-            mean, variance = _change_over_cluster(y, n, z, seen[1], seen[5], sides, room.device)
-            r3 = distance(y, z)
-        t0, t1, t2 = a0 + distance(y0, z), a1 + distance(y1, z), a2 + distance(y2, z)
-        # The times of the corners, so shifted that the time by way of y is right.
-        t = r1 + r3 + leg + (last_leg if room.device else 0.0) + mean - s0 * t0 - s1 * t1 - s2 * t2
-        t0, t1, t2 = widened(
-            (t + t0) * per - room.start, (t + t1) * per - room.start, (t + t2) * per - room.start,
-            variance * per * per,
-        )  # fmt: skip
-        batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2], batch.light[rows] = t0, t1, t2, light
-        rows += 1
-    if chosen >= 0:
-        side = room.offset if dot(subtract(lit[0], y), n) > 0.0 else -room.offset
-        z, n3 = get(pool.position, chosen, 0), get(pool.normal, chosen, 0)
-        ends = batch.ends[used]
-        ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit[0], lit[1], room.offset, room.frame)
-        ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(y, n, side, room.frame)
-        ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
-    return rows - poured
+    if chosen < 0:
+        return 0
+    z, n3, last_leg = get(pool.position, chosen, 0), get(pool.normal, chosen, 0), pool.leg[chosen]
+    side = room.offset if dot(subtract(lit[0], y), n) > 0.0 else -room.offset
+    ends = batch.ends[used]
+    ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit[0], lit[1], room.offset, room.frame)
+    ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(y, n, side, room.frame)
+    ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
+    mean = variance = 0.0
+    if row[17] > 0.0:
+        # Times, which change most over a pixel, are those of all of a flat cluster.
+        z, last_leg = seen[0], row[17]
+        sides = (row[11], row[12], row[13], row[14], row[15], row[16])
+        mean, variance = _change_over_cluster(y, n, z, seen[1], seen[5], sides, room.device)
+    # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
+    path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
+    return _spread(batch, poured, corners, level, lit[0], z, path, variance * per * per, total, per) - poured
 
 
 @compiled(forceinline=True)
@@ -442,15 +470,15 @@ def _fraction(u):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _sample(  # type: ignore[no-untyped-def]
-    tree, tag, piece, top, judged, surface, lit, seen, u, v, w, replicate, pool, p, room, leg, power, state, batch,
+    tree, tag, piece, top, judged, surface, lit, seen, numbers, replicate, pool, p, room, leg, power, state, batch,
     used, poured,
 ):  # fmt: skip
     """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
 
-    judged : largest guess, area, m², and bins of a piece. u, v, w : random numbers for the hidden and the FoV point.
+    judged : what `_judged` has found of a piece. numbers : (3,) random numbers for the hidden and
+    the FoV point.
     """
-    (most, area, width), f = judged, tag[top, 1]
-    a0 = a1 = a2 = 0.0
+    (most, area, width, bend), f = judged, tag[top, 1]
     if tag[top, 0] == BOX:
         low, high = tree.span[f, 0], tree.span[f, 1]
         area = tree.area[high] - tree.area[low]
@@ -461,8 +489,7 @@ def _sample(  # type: ignore[no-untyped-def]
         y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
         least = LEAST * most if most > 0.0 else 1.0
         w0, w1, w2 = max(piece[top, 9], least), max(piece[top, 10], least), max(piece[top, 11], least)
-    n, share = get(tree.normal, f, 0), _barycentric(u, v, w0, w1, w2)
-    s0, s1, s2 = share
+    n, (s0, s1, s2) = get(tree.normal, f, 0), _barycentric(numbers[0], numbers[1], w0, w1, w2)
     y = (
         s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
         s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
@@ -470,53 +497,56 @@ def _sample(  # type: ignore[no-untyped-def]
     if tag[top, 0] == BOX:
         # All of a small box's light arrives at one time.
         y0 = y1 = y2 = y
-    else:
-        a0, a1, a2 = piece[top, 12], piece[top, 13], piece[top, 14]
     density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
-    c, q, many, points = tag[top, 2], tag[top, 3], tag[top, 4], 1
+    c, q, many, points, level = tag[top, 2], tag[top, 3], tag[top, 4], 1, 0
     if pool.cluster[p, c, 17] == 0.0:
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
             points, blur = 4 * points, 0.5 * blur
-    batch.at[used, 0], batch.at[used, 1], batch.at[used, 2] = w0, w1, w2
+    while bend > STRAIGHT * width and level < LEVELS:
+        level, bend = level + 1, 0.25 * bend
     return _join(
-        y, n, surface, lit, seen, density, (y0, y1, y2, a0, a1, a2), share, replicate, w, c, q, many, points, pool, p,
-        room, leg, power, state, batch, used, poured,
+        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, replicate, numbers[2], c, q, many, points,
+        pool, p, room, leg, power, state, batch, used, poured,
     )  # fmt: skip
 
 
 @compiled()
-def emit(pairs, first, delta, slot, replicate, seed, tree, room, pool, tag, piece, batch):  # type: ignore[no-untyped-def]
-    """Fills the batch with a sample of each element of the pairs first …; returns the pair that comes next, and the
-    number of samples.
+def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, batch):  # type: ignore[no-untyped-def]
+    """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
     pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
     part's rows, −1 for parts that are left out. replicate : 0 or 1. tag, piece : what waits, (STACK, 5) BOX or PIECE,
     its index, the cluster, its first square and their number; (STACK, 15) corners of a piece, and the guessed weights
-    and distances to the laser point there.
+    and distances to the laser point there. at : (3,) pair, part and height of the stack at which to go on, zeros at
+    first; pair is n when all is done. numbers, state : (3,) and (1,) random numbers, and the state of their stream.
     """
     used = poured = 0
-    state, kind, values, lasers = np.zeros(1, np.uint64), room.kind, room.values, room.lasers
-    for pair in range(first, len(pairs)):
-        i, p, began = pairs[pair, 0], pairs[pair, 1], used
+    kind, values, lasers = room.kind, room.values, room.lasers
+    for pair in range(at[0], len(pairs)):
+        i, p = pairs[pair, 0], pairs[pair, 1]
         if lasers.part[i] < 0 or pool.cluster[p, 0, 9] <= 0.0:
             continue
         k1, leg, power = lasers.part[i], lasers.leg[i] if room.device else 0.0, room.power[i]
         lit = (get(lasers.position, i, 0), get(lasers.normal, i, 0), get(lasers.to_laser, i, 0), kind[k1], values[k1])
-        state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
-        state[0] = (state[0] << np.uint64(32)) | mix(state[0], np.uint64(pair))
-        u, v, w = _random(state), _random(state), _random(state)
-        for k in range(len(tree.roots)):
+        if at[1] == 0 and at[2] == 0:
+            state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
+            state[0] = (state[0] << np.uint64(32)) | mix(state[0], np.uint64(pair))
+            for d in range(3):
+                numbers[d] = _random(state)
+        for k in range(at[1], len(tree.roots)):
+            top, at[2] = at[2], 0
             if slot[k] < 0:
                 continue
             surface = (kind[k], values[k], room.outer[k])
-            _push(tag, 0, BOX, tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
-            top = 1
+            if top == 0:
+                _push(tag, 0, BOX, tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
+                top = 1
             while top > 0:
                 top -= 1
                 c = tag[top, 2]
                 gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
-                most, area, width = 0.0, 0.0, 1.0
+                most, area, width, bend = 0.0, 0.0, 1.0, 0.0
                 if tag[top, 0] == BOX:
                     light = _light_of_box(tree, tag[top, 1], surface, room.peak[k], lit, seen, room.air, room.plane)
                     if light < 0.0:
@@ -527,7 +557,7 @@ def emit(pairs, first, delta, slot, replicate, seed, tree, room, pool, tag, piec
                 else:
                     n = get(tree.normal, tag[top, 1], 0)
                     legs = leg + (pool.leg[int(pool.cluster[p, c, 10])] if room.device else 0.0)
-                    verdict, most, area, width = _judged(
+                    verdict, most, area, width, bend = _judged(
                         piece, top, n, tag[top, 4], surface, delta[k], gain, legs, room, lit, seen
                     )
                     if verdict == CLUSTER_FIRST:
@@ -540,18 +570,22 @@ def emit(pairs, first, delta, slot, replicate, seed, tree, room, pool, tag, piec
                         top = _halve(tag, piece, top, share, n, surface, lit, seen, room.air, room.plane)
                     if verdict != SAMPLE:
                         continue
-                if used == len(batch.row) or poured + MOST_POINTS > len(batch.light):
-                    return pair, began
-                u, v, w = _fraction(u + STEPS[0]), _fraction(v + STEPS[1]), _fraction(w + STEPS[2])
+                if used == len(batch.row) or poured + MOST_ROWS > len(batch.light):
+                    at[0], at[1], at[2] = pair, k, top + 1
+                    return used
+                for d in range(3):
+                    numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
-                    tree, tag, piece, top, (most, area, width), surface, lit, seen, u, v, w, replicate, pool, p, room,
-                    leg, power, state, batch, used, poured,
+                    tree, tag, piece, top, (most, area, width, bend), surface, lit, seen, numbers, replicate, pool, p,
+                    room, leg, power, state, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:
                     row = slot[k] * len(pairs) + pair
                     batch.row[used], batch.first[used], batch.last[used] = row, poured, poured + rows
                     used, poured = used + 1, poured + rows
-    return len(pairs), used
+        at[1] = 0
+    at[0] = len(pairs)
+    return used
 
 
 @compiled()
@@ -569,9 +603,6 @@ def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…)."""
     for s in rows:
         for m in range(batch.first[s], batch.last[s]):
-            light, row = batch.light[m], batch.row[s]
-            shape = tent(
-                batch.time[m, 0], batch.time[m, 1], batch.time[m, 2], batch.at[s, 0], batch.at[s, 1], batch.at[s, 2],
-                light,
-            )  # fmt: skip
-            outside[row] += pour(histogram, row, shape, light)
+            light, (t0, t1, t2) = batch.light[m], get(batch.time, m, 0)
+            shape = tent(t0, t1, t2, batch.at[m, 0], batch.at[m, 1], batch.at[m, 2], light)
+            outside[batch.row[s]] += pour(histogram, batch.row[s], shape, light)

@@ -112,21 +112,20 @@ class Cuts:
             materials.kind, materials.values, peak, outer_sides(scene), points,
             np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
             axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
-            ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent, np.array([*caster.center, caster.half_extent_m]), caster.offset_m,
+            ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent,
+            np.array([*caster.center, caster.half_extent_m]),
+            caster.offset_m,
         )  # fmt: skip
         self.squares = squares_of(problem, np.random.default_rng(self.seed(0)))
         of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
         self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))
-        self._make_room(SAMPLES)
+        self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
+        self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
     def seed(self, *numbers: int) -> int:
         """A seed of random numbers of its own."""
         return int(stream_seeds(self.problem.seed, LightStream.CUTS, *numbers)[0])
-
-    def _make_room(self, samples: int) -> None:
-        self.batch, self.every = Batch.of(samples), np.arange(samples)
-        self.origin, self.span = np.empty((samples, 3), np.float32), np.empty((samples, 3), np.float32)
 
     def run(self, which: Ints, delta: Floats, number: int) -> Run:
         """The light of some histograms, of elements that bring at most `delta` (G,) photons; NaN leaves a group out.
@@ -165,16 +164,15 @@ class Cuts:
     ) -> Ints:  # fmt: skip
         """Adds a replicate of the `active` parts' light of some pairs to light (A, n, T) and outside (A, n); returns
         the number of samples of each part."""
-        slot, samples, first = np.full(len(delta), -1), np.zeros(len(active), np.int64), 0
+        slot, samples = np.full(len(delta), -1), np.zeros(len(active), np.int64)
         slot[active] = np.arange(len(active))
-        while first < len(pairs):
-            last, used = emit(
-                pairs, first, delta, slot, replicate, seed, self.tree, self.room, pool, *self.waiting, self.batch
-            )
-            if last == first:
-                self._make_room(2 * len(self.every))
-                continue
-            visible, first = self.every[:used], last
+        at, numbers, state = np.zeros(3, np.int64), np.empty(3), np.empty(1, np.uint64)
+        while at[0] < len(pairs):
+            used = emit(
+                pairs, delta, slot, replicate, seed, self.tree, self.room, pool, *self.waiting, at, numbers, state,
+                self.batch,
+            )  # fmt: skip
+            visible = self.every[:used]
             samples += np.bincount(self.batch.row[:used] // len(pairs), minlength=len(active))
             for leg in range(2):
                 origin, span = self.origin[: len(visible)], self.span[: len(visible)]
