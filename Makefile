@@ -114,6 +114,8 @@ bench-evidence: setup
 	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml
 
 bench-acceptance: setup
+	$(BIN)/python tests/benchmarks/ways.py
+	$(BIN)/python tests/benchmarks/acceptance.py hard
 	$(BIN)/python tests/benchmarks/acceptance.py ready kept --scenes 60
 
 bench-peers: setup

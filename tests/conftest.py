@@ -15,6 +15,7 @@ for _library in ("OMP", "OPENBLAS", "MKL"):
 
 FIRST = (
     "physics/test_accuracy_target.py",
+    "equivalence/test_all_ways.py",
     "detector/test_laws.py",
     "detector/test_samplers.py",
     "detector/test_numerics.py",

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import detector, evidence, loaders, scaling
+from benchmarks.hard_scenes import hard
 from torch.utils.data import IterableDataset
 
+from datagen import Accuracy, simulate
 from datagen.config import config_from_mapping
 from datagen.loader import TransientDataset
 from datagen.pipeline import simulate_sample
@@ -80,3 +82,13 @@ def test_evidence_is_that_of_the_samples() -> None:
     assert (box.kind, box.objects, pillar.kind, pillar.objects) == ("box", 4, "pillar", 2)
     of = [simulate_sample(config, k).parameters["evidence.pillar.significance"] for k in range(2)]
     assert pillar.median == sum(map(float, of)) / 2
+
+
+@pytest.mark.filterwarnings("ignore:.*lie on the object")
+def test_every_hard_scene_has_light() -> None:
+    names = []
+    for name, scene, capture in hard(1, 0):
+        names.append(name)
+        found = simulate(scene, capture, Accuracy(samples=64), seed=1)
+        assert (found.total.sum(axis=2) + found.overflow).all(), name
+    assert len(set(names)) == len(names)

@@ -2,7 +2,7 @@
 
 The definition's vertices are uniform on all surfaces: it has no quasi-random numbers, no sampling of BRDFs and no
 weighting of densities. Energies of each order, part, histogram and window of time from `RUNS` runs of both are
-compared by Student's t at a family-wise level of `LEVEL` for each case.
+compared by Student's t at a family-wise level of `LEVEL` for each case. `test_all_ways.py` does so for every BRDF.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.ways import CAPTURES, DEVICE, TIME, energies, scene_of
 from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
-from test_all_ways import CAPTURES, DEVICE, TIME, energies, scene_of
 
 from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.records import Transient
@@ -32,8 +32,7 @@ WELL_KNOWN = 0.05
 
 
 def numbers(run: Transient) -> NDArray[np.float64]:
-    direct = [light.sum() for name, light in run.components.items() if name == "direct"]
-    return np.concatenate([*energies(run, "").values(), direct])
+    return np.concatenate([list(energies(run, light).values()) for light in (*run.components, *run.parts, "whole")])
 
 
 def hold(scene: Scene, capture: Capture, plain_samples: int = PLAIN, **asked: object) -> None:
@@ -54,24 +53,6 @@ def hold(scene: Scene, capture: Capture, plain_samples: int = PLAIN, **asked: ob
     assert (np.abs(off) <= allowed)[often].all(), np.column_stack([plain.mean(0), sampled.mean(0), noise])[often]
     largest = int(np.argmax(sampled.mean(axis=0)))
     assert noise[largest] < WELL_KNOWN * sampled.mean(axis=0)[largest]
-
-
-BY_DAY = [
-    ("lambertian 0.6", "box", "confocal"), ("oren-nayar 1.2", "ball", "exhaustive"), ("phong 10", "plate", "array"),
-    ("ggx 0.6", "open_mesh", "flood"), ("retroreflector 0.4", "touching", "exhaustive"),
-    ("sin lobe xyz", "ball", "confocal"),
-]  # fmt: skip
-BY_NIGHT = [("phong 60", "box", "array"), ("ggx 1", "plate", "exhaustive")] + [
-    (material, shape, capture) for material, shape, _ in BY_DAY for capture in CAPTURES
-]
-
-
-@pytest.mark.parametrize(
-    ("material", "shape", "capture"),
-    [*BY_DAY, *(pytest.param(*case, marks=pytest.mark.nightly) for case in BY_NIGHT if case not in BY_DAY)],
-)
-def test_every_brdf(material: str, shape: str, capture: str) -> None:
-    hold(scene_of(material, shape), CAPTURES[capture](), max_bounces=4)
 
 
 @pytest.mark.parametrize(
