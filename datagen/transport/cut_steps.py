@@ -51,9 +51,10 @@ BLURRED = 0.25
 by, from which on a sample has several FoV points."""
 MOST_POINTS = 4
 """Most FoV points of a sample, a power of 4."""
-STRAIGHT, LEVELS = 0.02, 2
-"""Bend of the arrival times over an element, relative to their span, up to which they count as linear, and most times
-that an element with more is quartered for them: such errors are alike in all replicates."""
+STRAIGHT, EVEN, LEVELS = 0.02, 0.2, 2
+"""Bend of the arrival times over an element, relative to their span, up to which they count as linear; square of its
+size over its distance up to which its weights do; and most times that an element with more is quartered for the
+spread of its light: such errors are alike in all replicates."""
 MOST_ROWS = 4**LEVELS
 """Most rows of light of a sample."""
 STACK = 4096
@@ -314,22 +315,23 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  # type: ignore[no-untyped-def]
-    """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, and by how
-    much the mean of the times at its corners is later than the time at its middle, bins.
+    """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, by how
+    much the mean of the times at its corners is later than the time at its middle, bins, and the square of its size
+    over its distance from the laser point and the cluster.
 
     leg : from the laser and to the sensor, metres.
     """
     x, z, size = lit[0], seen[0], seen[2]
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return NOTHING, 0.0, 0.0, 1.0, 0.0
+        return NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     if size > COARSEST_CLUSTER * d3 and size > 0.5 * h and many > 1:
-        return CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0
+        return CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0
     may_halve = h > room.smallest
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return HALVES, 0.0, 0.0, 1.0, 0.0
+        return HALVES, 0.0, 0.0, 1.0, 0.0, 0.0
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     if most <= 0.0 or lit[3] != LAMBERTIAN or seen[6] != LAMBERTIAN or surface[0] != LAMBERTIAN:
@@ -345,8 +347,9 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  #
     # What arrives outside the window only counts as a sum.
     is_inside = (late + 2 * size + leg) * room.per_metre > room.start
     is_inside &= (middle - h - 2 * size + leg) * room.per_metre < room.start + room.bins
+    across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
     is_bright = gain * area * most * (1.0 + BENT * bend / width) > delta * math.sqrt(width)
-    return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width, bend
+    return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width, bend, across
 
 
 @compiled(forceinline=True)
@@ -384,35 +387,38 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore
 
 
 @compiled()
-def _spread(batch, rows, corners, level, x, z, path, variance, light, per):  # type: ignore[no-untyped-def]
-    """Spreads light over the arrival times of a piece, by way of its 4^level equal parts; returns the next free row.
+def _spread(batch, rows, corners, level, n, surface, lit, seen, air, plane, z, path, variance, light, per):  # type: ignore[no-untyped-def]
+    """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
+    guessed light; returns the next free row.
 
-    corners : (3, 3) and (3,) corners and weights there. path : that all have in common, metres. variance : of the
-    paths over the cluster, bins². per : bins of a metre.
+    corners : (3, 3) and (3,) corners and weights there. n : normal. z : FoV point. path : that all have in common,
+    metres. variance : of the paths over the cluster, bins². per : bins of a metre.
     """
-    (y0, y1, y2, w0, w1, w2), n = corners, 1 << level
-    whole = n * n * (w0 + w1 + w2)
-    for i in range(n):
-        for j in range(2 * (n - i) - 1):
+    (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
+    for i in range(parts):
+        for j in range(2 * (parts - i) - 1):
             # Parts that stand upright and, between them, upside down.
-            a, down = j // 2, j % 2
+            down = j % 2
             for v in range(3):
-                b = (
-                    i + down * (v == 0) + (1 - down) * (v == 1) + down * (v == 1),
-                    a + down * (v != 1) + (1 - down) * (v == 2),
-                )
-                s1, s2 = b[0] / n, b[1] / n
+                s1 = (i + (v < 2 if down else v == 1)) / parts
+                s2 = (j // 2 + (v != 1 if down else v == 2)) / parts
                 s0 = 1.0 - s1 - s2
                 y = (
                     s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
                     s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
                 )  # fmt: skip
-                batch.time[rows, v] = (distance(y, x) + distance(y, z) + path) * per
-                batch.at[rows, v] = s0 * w0 + s1 * w1 + s2 * w2
+                at = s0 * w0 + s1 * w1 + s2 * w2
+                if level > 0:
+                    at = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * at)
+                batch.time[rows, v] = (distance(y, lit[0]) + distance(y, z) + path) * per
+                batch.at[rows, v] = at
             t = widened(batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2], variance)
             batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = t
-            batch.light[rows] = light * (batch.at[rows, 0] + batch.at[rows, 1] + batch.at[rows, 2]) / whole
+            batch.light[rows] = batch.at[rows, 0] + batch.at[rows, 1] + batch.at[rows, 2]
+            total += batch.light[rows]
             rows += 1
+    for row in range(first, rows):
+        batch.light[row] *= light / total
     return rows
 
 
@@ -459,7 +465,10 @@ def _join(  # type: ignore[no-untyped-def]
         mean, variance = _change_over_cluster(y, n, z, seen[1], seen[5], sides, room.device)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
-    return _spread(batch, poured, corners, level, lit[0], z, path, variance * per * per, total, per) - poured
+    return _spread(
+        batch, poured, corners, level, n, surface, lit, seen, room.air, room.plane, z, path, variance * per * per, total,
+        per,
+    ) - poured  # fmt: skip
 
 
 @compiled(forceinline=True)
@@ -478,7 +487,7 @@ def _sample(  # type: ignore[no-untyped-def]
     judged : what `_judged` has found of a piece. numbers : (3,) random numbers for the hidden and
     the FoV point.
     """
-    (most, area, width, bend), f = judged, tag[top, 1]
+    (most, area, width, bend, across), f = judged, tag[top, 1]
     if tag[top, 0] == BOX:
         low, high = tree.span[f, 0], tree.span[f, 1]
         area = tree.area[high] - tree.area[low]
@@ -503,8 +512,8 @@ def _sample(  # type: ignore[no-untyped-def]
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
             points, blur = 4 * points, 0.5 * blur
-    while bend > STRAIGHT * width and level < LEVELS:
-        level, bend = level + 1, 0.25 * bend
+    while (bend > STRAIGHT * width or across > EVEN) and level < LEVELS:
+        level, bend, across = level + 1, 0.25 * bend, 0.25 * across
     return _join(
         y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, replicate, numbers[2], c, q, many, points,
         pool, p, room, leg, power, state, batch, used, poured,
@@ -546,7 +555,7 @@ def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, 
                 top -= 1
                 c = tag[top, 2]
                 gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
-                most, area, width, bend = 0.0, 0.0, 1.0, 0.0
+                most, area, width, bend, across = 0.0, 0.0, 1.0, 0.0, 0.0
                 if tag[top, 0] == BOX:
                     light = _light_of_box(tree, tag[top, 1], surface, room.peak[k], lit, seen, room.air, room.plane)
                     if light < 0.0:
@@ -557,7 +566,7 @@ def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, 
                 else:
                     n = get(tree.normal, tag[top, 1], 0)
                     legs = leg + (pool.leg[int(pool.cluster[p, c, 10])] if room.device else 0.0)
-                    verdict, most, area, width, bend = _judged(
+                    verdict, most, area, width, bend, across = _judged(
                         piece, top, n, tag[top, 4], surface, delta[k], gain, legs, room, lit, seen
                     )
                     if verdict == CLUSTER_FIRST:
@@ -576,7 +585,7 @@ def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, 
                 for d in range(3):
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
-                    tree, tag, piece, top, (most, area, width, bend), surface, lit, seen, numbers, replicate, pool, p,
+                    tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, numbers, replicate, pool, p,
                     room, leg, power, state, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:

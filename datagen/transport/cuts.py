@@ -40,7 +40,7 @@ FEW = 64
 """Most pairs of laser point and pixel of a pilot."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-UNSEEN = 1.15
+UNSEEN = 1.1
 """Error over that by which replicates differ, as measured: shapes that are alike in all of them."""
 DEGREES = 8.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to a quarter."""
