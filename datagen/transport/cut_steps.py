@@ -38,7 +38,7 @@ COARSEST = 1.0
 """Largest size of an element relative to its distance, whatever its light."""
 COARSEST_CLUSTER = 0.7
 """The same of a cluster of FoV points."""
-BENT = 10.0
+BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
 LEAST = 0.1
 """Least density of the hidden point on an element, relative to the largest: bounds the weight where a guess is 0."""
