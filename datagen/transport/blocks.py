@@ -725,7 +725,7 @@ class Blocks:
         row, pixel, n = row[some], pixel[some], len(some)
         light, path, density, landing = np.zeros((4, n, len(pixels)), np.float32)
         if n:
-            ends = self._ends(_rows(found, some), self.unit)
+            ends = self._ends(_rows(found, some), self.unit)._replace(chance=np.ones(1))
             work.cost += n
             unhidden = ~self.caster.occluded(sensor.position, ends.position + self.caster.offset_m * ends.normal)
             legs, at = self._legs(ends, 1, _rows(y, row), work), (np.arange(n), pixel)
