@@ -13,6 +13,18 @@ of times that all ways find it (the balance heuristic, Veach & Guibas, SIGGRAPH 
 with F vertices of either kind and n rays onward, and mean_l over the laser points l in proportion to their share of
 Q(x). For more bounces, the y found from x is the next front vertex and carries the light of all laser points along.
 
+Only Q(y) bounds the 1/R² between y and a FoV point z, which is drawn on the pixel whatever is near it, and that is
+not enough where x and y touch the laser point and each other, too. So there is one more way, *land*: a ray from a y
+that was found from x, distributed as the cosine, if it lands in a pixel. It finds t = a cosθ_y cosθ_z/(π R²) times as
+many z as the pixel draws, with a the area that z stands for. Of a path's light it brings, where t > 1, the share
+
+    N (t − 1) / (N t + (p̄ F² Q(x) + n cosθ_x cosθ_y/(π R²)) chance_z pdf(z → y) cosθ_y/R²)
+
+with N the middle term of D and p̄ the mean of p, and the other ways bring the rest. This is the balance heuristic
+again, with a D that knows of no FoV point but z. Shares that knew of the others would not add up to 1: a z that is
+drawn is one of those that Q(y) is made of, and a z where a ray landed is not. A path that lands is found N t times.
+Seen from any y most pixels are small, so that t < 1 and nothing changes.
+
 The guess, the groups and the numbers of vertices change the noise and never the mean.
 """
 
@@ -28,9 +40,9 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.seeding import LightStream
-from datagen.transport.brdf import LAMBERTIAN, dot, evaluate, pdf, sample
+from datagen.transport.brdf import LAMBERTIAN, cosine_directions, dot, evaluate, pdf, sample
 from datagen.transport.effort import REPLICATES
-from datagen.transport.fields_of_view import fov_points
+from datagen.transport.fields_of_view import FovPool, fov_points, in_pixels
 from datagen.transport.geometry import get
 from datagen.transport.problem import Problem
 from datagen.transport.rays import lifted_and_scaled
@@ -75,7 +87,8 @@ class Ends(NamedTuple):
 
     position, normal, back : (n, 3) metres; unit normal; unit direction to laser or sensor. part : (n,) index, −1 for
     none. gain : (n,) what the device adds to a path: photons, or m² sr in units of `Blocks.unit`. leg : (n,) what its
-    leg adds to the path that the clock sees, m. chance : (N,) of each laser point or pixel to have vertices drawn.
+    leg adds to the path that the clock sees, m. area : (n,) of surface that a FoV point stands for, m²; 0 for laser
+    points. chance : (N,) of each laser point or pixel to have vertices drawn.
     """
 
     position: Floats
@@ -84,13 +97,14 @@ class Ends(NamedTuple):
     part: Ints
     gain: Floats
     leg: Floats
+    area: Floats
     chance: Floats
 
     def take(self, which: Ints, chance: Floats) -> Ends:
         """Some of the ends, with chances of their own."""
         return Ends(
             self.position[which], self.normal[which], self.back[which], self.part[which], self.gain[which],
-            self.leg[which], chance,
+            self.leg[which], self.area[which], chance,
         )  # fmt: skip
 
 
@@ -109,13 +123,16 @@ class Legs(NamedTuple):
     path : (n, N) length from the device, m.
     density : (n, N) 1/m², with which the end's BRDF draws the vertex. mixed : (n, 2) mean of it over the ends, by
     their chances, for the back (0) and the front side (1).
+    landing : (n, N) t of the FoV point, see the top of this file; 0 if t ≤ 1, and for
+    laser points.
     came_from : (n, 3) direction that all light comes from, and has_history : (n,) whether this is so: for vertices
-    that were found from other vertices.
+    that were found from other vertices, or whose ray landed in a pixel.
     """
 
     light: Floats32
     path: Floats32
     density: Floats32
+    landing: Floats32
     mixed: Floats
     came_from: Floats
     has_history: Bools
@@ -150,7 +167,7 @@ def _rays(kind, values, ends, count, u, origin, normal, direction):  # type: ign
             e += 1
             run += ends.chance[e]
         e += i % (len(ends.part) // count) * count
-        found[i] = ends.part[e] >= 0
+        found[i] = ends.part[e] >= 0 and ends.gain[e] > 0.0
         w = (0.0, 0.0, 1.0)
         if found[i]:
             k = ends.part[e]
@@ -189,8 +206,27 @@ def _rays_onward(kind, values, ends, x, legs, u, normal, direction):  # type: ig
     return found
 
 
+@compiled(inline="always")
+def _landing(area, up, down, r):  # type: ignore[no-untyped-def]
+    """Times t that a cosine-distributed ray from a vertex finds a FoV point for each that the pixel draws it; 0 if
+    t ≤ 1."""
+    drawn, found = math.pi * r**2, area * up * abs(down)
+    return found / drawn if found > drawn else 0.0
+
+
 @compiled()
-def _legs(kind, values, air, ends, x, offset, frame, light, path, density, origin, span, of):  # type: ignore[no-untyped-def]
+def _landings(y, z, row, area):  # type: ignore[no-untyped-def]
+    """(k,) `_landing` for some rows of vertices y and of the places z where their rays landed; area : (k, 1)."""
+    out = np.empty(len(row))
+    for k in range(len(row)):
+        v, r = _toward(get(y.position, row[k], 0), get(z.position, row[k], 0))
+        up, down = -dot(get(z.normal, row[k], 0), v), dot(get(y.normal, row[k], 0), v)
+        out[k] = _landing(area[k, 0], up, down, max(r, DARK))
+    return out
+
+
+@compiled()
+def _legs(kind, values, air, ends, x, offset, frame, light, path, density, landing, origin, span, of):  # type: ignore[no-untyped-def]
     """Legs as if nothing stood between, and shadow rays for those that may carry light; returns their number.
 
     origin, span : rays in embree's frame. of : index of each ray's leg.
@@ -200,7 +236,7 @@ def _legs(kind, values, air, ends, x, offset, frame, light, path, density, origi
         p, n = get(x.position, i, 0), get(x.normal, i, 0)
         for h in range(count):
             e = h + i % (len(ends.part) // count) * count
-            light[i, h] = density[i, h] = path[i, h] = 0.0
+            light[i, h] = density[i, h] = path[i, h] = landing[i, h] = 0.0
             if x.part[i] < 0 or ends.part[e] < 0 or ends.gain[e] <= 0.0:
                 continue
             q, m = get(ends.position, e, 0), get(ends.normal, e, 0)
@@ -210,6 +246,7 @@ def _legs(kind, values, air, ends, x, offset, frame, light, path, density, origi
                 continue
             k, row, back = kind[ends.part[e]], values[ends.part[e]], get(ends.back, e, 0)
             light[i, h] = evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e] * math.exp(-air * r)
+            landing[i, h] = _landing(ends.area[e], up, down, r)
             density[i, h] = pdf(k, row, m, back, v) * down / r**2
             path[i, h] = r + ends.leg[e]
             if density[i, h] != 0.0 or light[i, h] != 0.0:
@@ -363,11 +400,27 @@ def _spread(of_x, of_y, time_x, time_y, g, between, stride, light, place, histog
 
 
 @compiled()
-def _tally(kind, values, clock, front, back, x, y, of_x, of_y, draws, onward, full, a, b, hidden, stride, histogram):  # type: ignore[no-untyped-def]
+def _shared(legs, chance, j, onward, rest, light, out):  # type: ignore[no-untyped-def]
+    """Sets out (N,) to the share of the light (N,) of vertex y[j] that is for its way, land or another.
+
+    chance : of the ends. onward, rest : N and what is before chance_z in the formula at the top of this file.
+    """
+    for h in range(len(out)):
+        out[h], t = light[h], legs.landing[j, h]
+        if t > 0.0:
+            land = onward * (t - 1.0) / max(onward * t + rest * chance[h] * abs(legs.density[j, h]), DARK)
+            out[h] *= land / t if legs.has_history[j] else 1.0 - land
+
+
+@compiled()
+def _tally(  # type: ignore[no-untyped-def]
+    kind, values, clock, front, back, x, y, of_x, of_y, draws, onward, full, evenly, a, b, hidden, stride, histogram
+):  # fmt: skip
     """Adds the light of all pairs of ends by way of the vertices x[a], y[b].
 
     clock : bins for each metre, first bin, attenuation. front, back : the ends. of_x, of_y : legs and brightness.
     draws : of a pair by the way of pairs. onward : rays on from vertices. full : guess of pairs that are certain.
+    evenly : times that a pair would be chosen, for Q(x) Q(y) = 1, if all had the same chance.
     """
     (legs_x, bright_x), (legs_y, bright_y), (per, start, air) = of_x, of_y, clock
     own_x, own_y = np.empty(legs_x.light.shape[1], np.float32), np.empty(legs_y.light.shape[1], np.float32)
@@ -376,6 +429,7 @@ def _tally(kind, values, clock, front, back, x, y, of_x, of_y, draws, onward, fu
     sent_x, simple_x = _sent_by_lambertian(kind, values, x, legs_x)
     sent_y, simple_y = _sent_by_lambertian(kind, values, y, legs_y)
     px, nx, py, ny, mixed_x, mixed_y = x.position, x.normal, y.position, y.normal, legs_x.mixed, legs_y.mixed
+    touches = np.array([row.max() > 0.0 for row in legs_y.landing])
     for k in range(len(a)):
         i, j = a[k], b[k]
         if hidden[k] or x.part[i] < 0 or y.part[j] < 0:
@@ -392,10 +446,17 @@ def _tally(kind, values, clock, front, back, x, y, of_x, of_y, draws, onward, fu
             w = (-v[0], -v[1], -v[2])
             onto_x, from_y = _sent_toward(kind, values, back, y, legs_y, j, w, side_y, own_y), own_y
         expected = min(chance, 1.0) * draws * (mixed_x[i, 0] + mixed_x[i, 1]) * (mixed_y[j, 0] + mixed_y[j, 1])
-        # A vertex with a history was not found from y.
-        back_way = 0.0 if legs_x.has_history[i] else onto_x * abs(up)
-        expected += onward * (onto_y * abs(down) + back_way) / max(r, 1e-300) ** 2
+        # A vertex x with a history was not found from y, and no x was found from a y whose ray landed.
+        back_way = 0.0 if legs_x.has_history[i] or legs_y.has_history[j] else onto_x * abs(up)
+        rays = onward / max(r, 1e-300) ** 2
+        expected += rays * (onto_y * abs(down) + back_way)
         if expected > 0.0:
+            if touches[j]:
+                rest = evenly * (mixed_x[i, 0] + mixed_x[i, 1])
+                if not legs_x.has_history[i]:
+                    rest += rays * abs(up * down) / math.pi
+                _shared(legs_y, back.chance, j, rays * onto_y * abs(down), rest, from_y, own_y)
+                from_y = own_y
             g = np.float32(abs(up * down) / r**2 * math.exp(-air * r) / expected)
             # One more bin, as the first column is what comes before the window.
             between = np.float32(r * per - start + 1.0)
@@ -426,9 +487,9 @@ def _rows(record: Any, which: Ints) -> Any:
     return type(record)(*(np.ascontiguousarray(values[which]) for values in record))
 
 
-def _both(one: Any, two: Any) -> Any:
-    """The rows of two records of arrays, one after the other."""
-    return type(one)(*(np.concatenate(pair) for pair in zip(one, two, strict=True)))
+def _joined(*records: Any) -> Any:
+    """The rows of records of arrays, one after the other."""
+    return type(records[0])(*(np.concatenate(arrays) for arrays in zip(*records, strict=True)))
 
 
 def _chances(error: Floats) -> Floats:
@@ -470,7 +531,8 @@ class Blocks:
         leg = np.where(exists, points.leg, 0.0)
         self.lasers = Ends(
             np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            np.where(exists, np.exp(-self.air * leg), 0.0), leg * (axis.origin == "source"), np.empty(0),
+            np.where(exists, np.exp(-self.air * leg), 0.0), leg * (axis.origin == "source"), np.zeros(len(leg)),
+            np.empty(0),
         )  # fmt: skip
         middle = self.fov_points(np.arange(P), np.full((P, 1, 2), 0.5), 1.0)
         self.unit = float(middle.gain.max()) or 1.0
@@ -489,19 +551,23 @@ class Blocks:
 
     def fov_points(self, pixels: Ints, uv: Floats, unit: float) -> Ends:
         """FoV points at coordinates uv (P, Q, 2) of the quadrilaterals of some pixels, set after set."""
-        problem, capture = self.problem, self.problem.capture
-        found = fov_points(self.caster, problem.scene, capture.sensor, problem.cones, pixels, uv, 1)
+        problem = self.problem
+        found = fov_points(self.caster, problem.scene, problem.capture.sensor, problem.cones, pixels, uv, 1)
+        return self._ends(found, unit)
+
+    def _ends(self, found: FovPool, unit: float) -> Ends:
+        """FoV points as ends of paths, set after set; gains in `unit`."""
 
         def in_sets(values: NDArray[Any]) -> NDArray[Any]:
             return np.ascontiguousarray(values.swapaxes(0, 1)).reshape(-1, *values.shape[2:])
 
         leg = np.where(found.part >= 0, found.last_leg, 0.0)
         gain = np.where(found.part >= 0, found.weight * np.exp(-self.air * leg) / unit, 0.0)
-        leg *= capture.time.origin == "source"
+        leg *= self.problem.capture.time.origin == "source"
         back = np.broadcast_to(found.to_sensor, found.position.shape)
         return Ends(
             in_sets(found.position), in_sets(found.normal), in_sets(back), in_sets(found.part), in_sets(gain),
-            in_sets(leg), np.empty(0),
+            in_sets(leg), in_sets(found.footprint), np.empty(0),
         )  # fmt: skip
 
     def add(self, group: int, replicate: int, number: int, last: int, histogram: Floats32) -> float:
@@ -547,11 +613,12 @@ class Blocks:
         some = np.arange(ONWARD)
         x_on, of_x_on = _rows(x, some), _rows(of_x, some)
         from_x = self._onward(front, x_on, of_x_on, work)
-        ys, of_ys = _both(y, from_x), _both(of_y, self._legs(back, P, from_x, work))
         if last == 4:
+            ys, of_ys, landed = self._last_vertices(back, pixels, y, of_y, from_x, work)
             from_y = self._onward(back, _rows(y, some), _rows(of_y, some), work)
-            xs, of_xs = _both(x, from_y), _both(of_x, self._legs(front, L, from_y, work))
-            found = np.concatenate([some, VERTICES + some]), np.concatenate([VERTICES + some, some])
+            xs, of_xs = _joined(x, from_y), _joined(of_x, self._legs(front, L, from_y, work))
+            of_from_x = np.arange(VERTICES, len(ys.part))
+            found = np.concatenate([some, landed, VERTICES + some]), np.append(of_from_x, some)
             self._join(4, ONWARD, (front, xs, of_xs, VERTICES), (back, ys, of_ys, VERTICES), found, work)
             return
         x, of_x, onward = x_on, of_x_on, ONWARD
@@ -561,8 +628,8 @@ class Blocks:
                 break
             onward, n = 1, len(x.part)
             from_x = self._onward(front, x, of_x, work)
-            ys, of_ys = _both(y, from_x), _both(of_y, self._legs(back, P, from_x, work))
-            found = np.arange(n), VERTICES + np.arange(n)
+            ys, of_ys, landed = self._last_vertices(back, pixels, y, of_y, from_x, work)
+            found = np.append(np.arange(n), landed), np.arange(VERTICES, len(ys.part))
             self._join(order, 1, (front, x, of_x, n), (back, ys, of_ys, VERTICES), found, work)
 
     def _next(
@@ -583,7 +650,7 @@ class Blocks:
         # A path is counted by its weight alone from here on: its density is 1, on the side that the light came to.
         side = np.stack([(light < 0).any(axis=1), (light > 0).any(axis=1)], axis=1).astype(float)
         history = np.ones(len(kept), np.bool_)
-        return _rows(y, kept), Legs(light, path[kept], light, side, came_from[kept], history)
+        return _rows(y, kept), Legs(light, path[kept], light, np.zeros_like(light), side, came_from[kept], history)
 
     def _join(
         self, order: int, onward: int, front: tuple[Ends, Vertices, Legs, int],
@@ -614,8 +681,8 @@ class Blocks:
         work.cost += ADDED * len(hidden) * len(work.histogram)
         _tally(
             self.kind, self.values, self.clock, ends_x, ends_y, x, y, (of_x, bright_x), (of_y, bright_y), draws,
-            float(onward), full, np.concatenate([a[:k], found[0]]), np.concatenate([b[:k], found[1]]), hidden, stride,
-            work.histogram,
+            float(onward), full, draws * wanted / (n * m), np.concatenate([a[:k], found[0]]),
+            np.concatenate([b[:k], found[1]]), hidden, stride, work.histogram,
         )  # fmt: skip
 
     def _drawn(self, ends: Ends, count: int, work: _Work) -> Vertices:
@@ -638,17 +705,47 @@ class Blocks:
         part = np.where(hits.valid & found, self.problem.scene.face_part[hits.face], -1).astype(np.int64)
         return Vertices(hits.position, hits.normal, part)
 
+    def _last_vertices(
+        self, back: Ends, pixels: Ints, y: Vertices, of_y: Legs, from_x: Vertices, work: _Work
+    ) -> tuple[Vertices, Legs, Ints]:
+        """Vertices y, those found from x, and once more those of the latter whose ray landed in a pixel; the legs of
+        all; and which came once more."""
+        landed, of_landed = self._landed(pixels, from_x, work)
+        ys = _joined(y, from_x, _rows(from_x, landed))
+        return ys, _joined(of_y, self._legs(back, len(pixels), from_x, work), of_landed), landed
+
+    def _landed(self, pixels: Ints, y: Vertices, work: _Work) -> tuple[Ints, Legs]:
+        """The vertices whose cosine-distributed ray lands in a pixel, and the legs to where it landed."""
+        problem, sensor = self.problem, self.problem.capture.sensor
+        direction = cosine_directions(y.normal, work.rng.random((len(y.part), 2)))
+        z = self._met(y.position, y.normal, direction, y.part >= 0, work)
+        row, pixel, found = in_pixels(sensor, problem.cones, pixels, z.position, z.normal, z.part)
+        # Elsewhere the share of this way is 0.
+        some = np.flatnonzero(_landings(y, z, row, found.footprint))
+        row, pixel, n = row[some], pixel[some], len(some)
+        light, path, density, landing = np.zeros((4, n, len(pixels)), np.float32)
+        if n:
+            ends = self._ends(_rows(found, some), self.unit)._replace(chance=np.ones(1))
+            work.cost += n
+            unhidden = ~self.caster.occluded(sensor.position, ends.position + self.caster.offset_m * ends.normal)
+            legs, at = self._legs(ends, 1, _rows(y, row), work), (np.arange(n), pixel)
+            light[at], path[at] = legs.light[:, 0] * unhidden, legs.path[:, 0]
+            density[at], landing[at] = legs.density[:, 0], legs.landing[:, 0]
+        # No other way finds them: the mixture has no such vertex, and light from the pixel is that of this z alone.
+        return row, Legs(light, path, density, landing, np.zeros((n, 2)), direction[row], np.ones(n, np.bool_))
+
     def _legs(self, ends: Ends, count: int, x: Vertices, work: _Work) -> Legs:
         """The legs from the ends to vertices."""
         n = len(x.part)
-        (light, path, density), mixed = np.empty((3, n, count), np.float32), np.zeros((n, 2))
+        (light, path, density, landing), mixed = np.empty((4, n, count), np.float32), np.zeros((n, 2))
         origin, span = np.empty((2, n * count, 3), np.float32)
         of, offset = np.empty(n * count, np.int64), self.caster.offset_m
         rays = _legs(
-            self.kind, self.values, self.air, ends, x, offset, self.frame, light, path, density, origin, span, of
+            self.kind, self.values, self.air, ends, x, offset, self.frame, light, path, density, landing, origin,
+            span, of,
         )  # fmt: skip
         _without_hidden(light, density, ends.chance, self._hidden(origin[:rays], span[:rays], work), of, mixed)
-        return Legs(light, path, density, mixed, np.zeros((n, 3)), np.zeros(n, np.bool_))
+        return Legs(light, path, density, landing, mixed, np.zeros((n, 3)), np.zeros(n, np.bool_))
 
     def _hidden(self, origin: Floats32, span: Floats32, work: _Work) -> Bools:
         work.cost += len(origin)

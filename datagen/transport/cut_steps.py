@@ -387,7 +387,9 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore
 
 
 @compiled()
-def _spread(batch, rows, corners, level, n, surface, lit, seen, air, plane, z, path, variance, light, per):  # type: ignore[no-untyped-def]
+def _spread(  # type: ignore[no-untyped-def]
+    batch, rows, corners, level, n, surface, lit, seen, air, plane, z, path, variance, light, per
+):  # fmt: skip
     """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
     guessed light; returns the next free row.
 
@@ -466,8 +468,8 @@ def _join(  # type: ignore[no-untyped-def]
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
     return _spread(
-        batch, poured, corners, level, n, surface, lit, seen, room.air, room.plane, z, path, variance * per * per, total,
-        per,
+        batch, poured, corners, level, n, surface, lit, seen, room.air, room.plane, z, path,
+        variance * per * per, total, per,
     ) - poured  # fmt: skip
 
 
@@ -515,13 +517,16 @@ def _sample(  # type: ignore[no-untyped-def]
     while (bend > STRAIGHT * width or across > EVEN) and level < LEVELS:
         level, bend, across = level + 1, 0.25 * bend, 0.25 * across
     return _join(
-        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, replicate, numbers[2], c, q, many, points,
+        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, replicate, numbers[2], c, q,
+        many, points,
         pool, p, room, leg, power, state, batch, used, poured,
     )  # fmt: skip
 
 
 @compiled()
-def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, batch):  # type: ignore[no-untyped-def]
+def emit(  # type: ignore[no-untyped-def]
+    pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, batch
+):  # fmt: skip
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
     pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
@@ -585,7 +590,8 @@ def emit(pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, 
                 for d in range(3):
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
-                    tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, numbers, replicate, pool, p,
+                    tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, numbers,
+                    replicate, pool, p,
                     room, leg, power, state, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:

@@ -16,6 +16,8 @@ from datagen.compiled import compiled
 from datagen.errors import InputError
 from datagen.records import Scene, Sensor
 from datagen.records.arrays import Floats, Ints
+from datagen.transport.brdf import dot
+from datagen.transport.geometry import get
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.rays import Raycaster
 
@@ -133,13 +135,30 @@ def fov_points(
     shape = jacobian.shape
     part = np.where(hits.valid, scene.face_part[hits.face], -1).astype(np.int64).reshape(shape)
     normal = hits.normal.reshape(*shape, 3)
-    position, weight, footprint, distance = _seen_points(
-        hits.position.reshape(*shape, 3), normal, part, direction, jacobian, sensor.position,
-        cones.solid_angle[pixels], sensor.aperture_area_m2,
-        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
+    position = hits.position.reshape(*shape, 3)
+    return _pool(sensor, position, normal, part, direction, jacobian, cones.solid_angle[pixels], each)
+
+
+def in_pixels(
+    sensor: Sensor, cones: PixelCones, pixels: Ints, position: Floats, normal: Floats, part: Ints
+) -> tuple[Ints, Ints, FovPool]:
+    """Points (n, 3) on surfaces that lie within some `pixels`, whether or not something hides them from the sensor.
+
+    Returns for each of k pairs of point and pixel the row of the point and the row of the pixel, and the FoV points
+    (k, 1), each of which stands for the whole solid angle of its pixel.
+    """
+    row, of = np.nonzero(_are_inside(cones.planes, pixels, position - sensor.position, part))
+    direction = position[row] - sensor.position
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    solid_angle = cones.solid_angle[pixels[of]]
+    seen = solid_angle[:, None].copy()
+    if sensor.footprints is not None:
+        uv = place_in_pixels(sensor, direction)[0][pixels[of], np.arange(len(of))]
+        seen[:, 0] *= sensitivity(sensor.footprints, pixels[of], uv)
+    found = _pool(
+        sensor, position[row, None], normal[row, None], part[row, None], direction[:, None], seen, solid_angle, 1
     )  # fmt: skip
-    np.negative(direction, out=direction)
-    return FovPool(position, normal, direction, part, weight, footprint, distance)
+    return row, of, found
 
 
 def sensitivity(footprints: Floats, pixel: Ints, uv: Floats) -> Floats:
@@ -162,6 +181,32 @@ def place_in_pixels(sensor: Sensor, w: Floats) -> tuple[Floats, NDArray[np.bool_
         uv = over_s[..., :2] / over_s[..., 2:]
     inside = (over_s[..., 2] > 0) & (uv >= 0).all(axis=2) & (uv < 1).all(axis=2)
     return np.where(inside[..., None], uv, 0.0), inside
+
+
+@compiled()
+def _are_inside(planes: Floats, pixels: Ints, direction: Floats, part: Ints) -> NDArray[np.bool_]:
+    """(n, P) whether directions (n, 3) from the sensor, to points of parts (n,), lie in the cones of some pixels."""
+    inside = np.zeros((len(part), len(pixels)), np.bool_)
+    for i in range(len(part)):
+        for p in range(len(pixels)):
+            k = 0 if part[i] >= 0 else 5
+            while k < 4 and dot(get(planes[pixels[p]], k, 0), get(direction, i, 0)) >= 0.0:
+                k += 1
+            inside[i, p] = k == 4
+    return inside
+
+
+def _pool(
+    sensor: Sensor, position: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats,
+    solid_angle: Floats, each: int,
+) -> FovPool:  # fmt: skip
+    """FoV points from where lines of sight met something, as `_seen_points` describes it."""
+    position, weight, footprint, distance = _seen_points(
+        position, normal, part, direction, jacobian, sensor.position, solid_angle, sensor.aperture_area_m2,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
+    )  # fmt: skip
+    np.negative(direction, out=direction)
+    return FovPool(position, normal, direction, part, weight, footprint, distance)
 
 
 @compiled()
