@@ -53,8 +53,6 @@ covers what boxes in time carry into another window); and of all light, as paths
 run has one."""
 KNOWN = 0.1
 """Standard error of the truth up to which a number is compared, relative to it."""
-BIASED = {"quadrature": ASKED}
-"""Ways that are no random samples, and what their numbers may be off by: as much as is asked."""
 WINDOWS = 6
 
 DEVICE = (0.6, -1.1, 2.0)
@@ -305,7 +303,7 @@ def row_of(case: Case, light: str, ours: list[Transient], truth: list[Transient]
     a, b = (np.array([list(energies(run, light).values()) for run in runs]) for runs in (ours, truth))
     component = "primary" if light in truth[0].parts else light
     energy, whole = (np.mean([light_of(run, of).sum() for run in truth]) for of in (component, "whole"))
-    z = z_scores(a, b, SLACK * energy + RARE * whole + BIASED.get(way, 0.0) * b.mean(axis=0))
+    z = z_scores(a, b, SLACK * energy + RARE * whole)
     known = stats.sem(b) <= KNOWN * b.mean(axis=0)
     ratio = noise = np.nan
     if b.any():

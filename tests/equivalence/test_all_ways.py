@@ -17,17 +17,6 @@ TRUE_BY_CLAIM = 1.5
 """True over claimed error that is allowed; 5 % of wholes and objects may have more, but not this few runs' mean."""
 POOLED = 0.01
 """What the energy of all cases may be off by, beyond noise."""
-DARK_ENDS = "blocks draw vertices from FoV points of no sensitivity, and leave them out of the density: 30 % too much"
-KNOWN_WRONG = {Case("oren-nayar 0.2", "plate", "footprints"): DARK_ENDS}
-"""Cases that a way has wrong so far, and why."""
-
-
-def by_day() -> list[object]:
-    """All cases of the table."""
-    return [
-        pytest.param(case, marks=pytest.mark.xfail(reason=KNOWN_WRONG[case])) if case in KNOWN_WRONG else case
-        for case in CASES
-    ]
 
 
 def by_night() -> list[object]:
@@ -45,7 +34,7 @@ def limit(rows: list[Row]) -> float:
     return float(stats.norm.isf(LEVEL / 2 / len(CASES) / sum(len(row.z) for row in rows)))
 
 
-@pytest.mark.parametrize("case", [*by_day(), *by_night()], ids=", ".join)
+@pytest.mark.parametrize("case", [*CASES, *by_night()], ids=", ".join)
 def test_all_ways(case: Case) -> None:
     rows = compared(case)
     most = limit(rows)
@@ -62,7 +51,7 @@ def test_all_ways(case: Case) -> None:
 
 def test_all_cases_together() -> None:
     """A small loss that all cases share is lost in the noise of each."""
-    means = pooled([row for case in CASES if case not in KNOWN_WRONG for row in compared(case)])
+    means = pooled([row for case in CASES for row in compared(case)])
     assert {light for light, *_ in means} >= {"primary", "secondary", "higher", "whole"}
     wrong = {key: of for key, of in means.items() if abs(of[0] - 1) > POOLED + 4 * of[1]}
     assert not wrong
