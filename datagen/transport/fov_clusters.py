@@ -51,6 +51,8 @@ class FovClusters(NamedTuple):
         uv = ((square + place) / 2**level).reshape(len(pixels), 2 * squares, 2)
         found = fov_points(problem.caster, problem.scene, sensor, problem.cones, pixels, uv, squares)
         valid = found.part >= 0
+        air = np.exp(-problem.scene.attenuation_per_m * np.where(valid, found.last_leg, 0.0))
+        found = found._replace(weight=found.weight * air)
         cluster = np.concatenate([_clusters(found, valid, 2 * squares >> (2 * n)) for n in range(level + 1)], axis=1)
         flat = is_flat(cluster[:, 0]) & valid.all(axis=1)
         if flat.any():
@@ -63,12 +65,11 @@ class FovClusters(NamedTuple):
             one, two = sides[..., :3], sides[..., 3:]
             diagonals = np.linalg.norm([one + two, one - two], axis=3)
             cluster[flat, :, 6] = diagonals.max(axis=0) / 2
-        gain = found.weight * np.exp(-problem.scene.attenuation_per_m * np.where(valid, found.last_leg, 0.0))
         # Which point of a pixel becomes which of all.
         cluster[..., 10] += 2 * squares * np.arange(len(pixels))[:, None]
         return cls(
             found.position.reshape(-1, 3), found.normal.reshape(-1, 3), found.to_sensor.reshape(-1, 3),
-            found.part.ravel(), gain.ravel(), found.last_leg.ravel(), cluster,
+            found.part.ravel(), found.weight.ravel(), found.last_leg.ravel(), cluster,
         )  # fmt: skip
 
 
