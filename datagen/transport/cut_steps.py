@@ -100,7 +100,7 @@ class Batch(NamedTuple):
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. first,
     last : (n,) span of the sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners
-    of a triangle, bins; and `at`, (…, 3) weights there.
+    of a triangle, bins; and `at`, (…, 3) weights there. grid : scratch.
     """
 
     ends: NDArray[np.float32]
@@ -110,6 +110,7 @@ class Batch(NamedTuple):
     light: Floats
     time: Floats
     at: Floats
+    grid: Floats
 
     @classmethod
     def of(cls, n: int) -> Batch:
@@ -117,7 +118,8 @@ class Batch(NamedTuple):
         row, first, last = (np.empty(n, np.int64) for _ in range(3))
         many = 4 * n
         time, at = (np.empty((many, 3)) for _ in range(2))
-        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at)
+        grid = np.empty((2, 2**LEVELS + 1, 2**LEVELS + 1))
+        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at, grid)
 
 
 @compiled(forceinline=True)
@@ -397,28 +399,34 @@ def _spread(  # type: ignore[no-untyped-def]
     metres. variance : of the paths over the cluster, bins². per : bins of a metre.
     """
     (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
+    # Times and weights at the corners of the parts: place i, j lies i/parts and j/parts of the way to two corners.
+    time, at = batch.grid[0], batch.grid[1]
+    for i in range(parts + 1):
+        for j in range(parts + 1 - i):
+            s1, s2 = i / parts, j / parts
+            s0 = 1.0 - s1 - s2
+            y = (
+                s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
+                s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
+            )  # fmt: skip
+            linear = s0 * w0 + s1 * w1 + s2 * w2
+            at[i, j] = linear
+            if max(i, j, parts - i - j) < parts:
+                at[i, j] = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * linear)
+            time[i, j] = (distance(y, lit[0]) + distance(y, z) + path) * per
     for i in range(parts):
-        for j in range(2 * (parts - i) - 1):
-            # Parts that stand upright and, between them, upside down.
-            down = j % 2
-            for v in range(3):
-                s1 = (i + (v < 2 if down else v == 1)) / parts
-                s2 = (j // 2 + (v != 1 if down else v == 2)) / parts
-                s0 = 1.0 - s1 - s2
-                y = (
-                    s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
-                    s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
-                )  # fmt: skip
-                at = s0 * w0 + s1 * w1 + s2 * w2
-                if level > 0:
-                    at = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * at)
-                batch.time[rows, v] = (distance(y, lit[0]) + distance(y, z) + path) * per
-                batch.at[rows, v] = at
-            t = widened(batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2], variance)
-            batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = t
-            batch.light[rows] = batch.at[rows, 0] + batch.at[rows, 1] + batch.at[rows, 2]
-            total += batch.light[rows]
-            rows += 1
+        for j in range(parts - i):
+            # A part that stands upright, and one beside it that stands upside down.
+            for down in range(2 if j < parts - i - 1 else 1):
+                a, b = (i + 1, j) if down else (i, j)
+                batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = widened(
+                    time[a, b], time[i + 1, j + down], time[i, j + 1], variance
+                )
+                row = batch.at[rows]
+                row[0], row[1], row[2] = at[a, b], at[i + 1, j + down], at[i, j + 1]
+                batch.light[rows] = row[0] + row[1] + row[2]
+                total += batch.light[rows]
+                rows += 1
     for row in range(first, rows):
         batch.light[row] *= light / total
     return rows
