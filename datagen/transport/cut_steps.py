@@ -51,7 +51,7 @@ BLURRED = 0.25
 by, from which on a sample has several FoV points."""
 MOST_POINTS = 4
 """Most FoV points of a sample, a power of 4."""
-STRAIGHT, EVEN, LEVELS = 0.02, 0.2, 2
+STRAIGHT, EVEN, LEVELS = 0.02, 0.5, 2
 """Bend of the arrival times over an element, relative to their span, up to which they count as linear; square of its
 size over its distance up to which its weights do; and most times that an element with more is quartered for the
 spread of its light: such errors are alike in all replicates."""
