@@ -47,7 +47,6 @@ class LightStream(IntEnum):
     # The value of `SAMPLED_PATHS`, which adds one number to the hash, not two.
     REFERENCE = 96
     LATER_PATHS = 97
-    SECOND_OPINION = 98
     PLAIN_REFERENCE = 99
 
 

@@ -33,7 +33,8 @@ class Transient:
     components : "direct", "primary", "secondary", "higher" → (L, P, T) float64; only those simulated.
     parts : the primary split by the part on which the hidden vertex lies, part name → (L, P, T). Of a beam with cells
         (`Laser.flood`, devices) also the light of one bounce that the part sends straight back.
-    stderr : (L, P, T) standard error of `total` from independent replicates; NaN when there was only one.
+    stderr : (L, P, T) standard error of `total` from independent replicates; NaN when there was only one. That of
+        three bounces by cuts is known for each histogram, and shared among its bins in proportion to their light.
     overflow : (L, P) energy that arrives outside the window.
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. For a flood L here is
         the number of its points, and 1 in the other arrays.
@@ -44,7 +45,7 @@ class Transient:
         target; None with a number of samples.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
         than `Accuracy.faint_part` are left out, and all parts where the primary is found by paths (narrow lobes). The
-        error is above the part target where an object is so nearly hidden that its light was not worth the rays.
+        error may be above the part target where an object is nearly hidden, or brings less than 10⁻⁴ of all light.
     samplers : component → how its light was found: "cuts", "blocks" or "paths" (docs/physics.md).
     rays : component → rays that its light took.
 

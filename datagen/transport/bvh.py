@@ -22,11 +22,11 @@ number of their triangles alone, because stacks of loops over the tree have room
 it divides meshes with triangles of very different sizes less well). Without the heuristic (halves along a
 space-filling curve) rooms take 1.15 to 1.34 times as long."""
 CLUSTER = 4
-"""Most triangles of a box that one random point never stands for: each becomes a surface element. It is at least
-`LEAF`; with half of it a leaf could have to be opened, which has no boxes within."""
+"""Triangles up to which a box is opened whatever its light, so that each triangle is a piece of its own, whose light
+cuts spread over the arrival times of its corners. It is at least `LEAF`, as a leaf has no boxes within."""
 SMALLEST = 1e-8
-"""Longest side of the smallest element that is cut, relative to the scene's largest side. Half of it allows one
-halving more, near the rounding error of coordinates."""
+"""Longest side of the smallest piece of a triangle that is cut, relative to the scene's largest side. Half of it
+allows one halving more, near the rounding error of coordinates."""
 ON_PLANE = 1e-9
 """Distance from a plane, relative to the scene's largest side, below which a point lies on the plane. Half of it is
 nearer to the rounding error of coordinates."""

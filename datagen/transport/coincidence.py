@@ -1,9 +1,9 @@
 """Surfaces of different parts in one place: the scene in which one of them lies on the other, for every way alike.
 
-Where two surfaces coincide, rays meet one or the other by rounding, and surface elements of both would be lit. So the
-part that lies on the other is moved off it, by a hair (`LIFT`), to the side that light comes from: from then on it is
-met first by all rays, and hides the other from all elements. Objects lie on walls, floor and ceiling; of two parts of
-one role that comes later in the scene lies on the other, as a poster hangs on a wall.
+Where two surfaces coincide, rays meet one or the other by rounding, and points drawn on either would be lit. So the
+part that lies on the other is moved off it, by a hair (`LIFT`), to the side that light comes from: from then on all
+rays meet this part first, and it hides the other. Objects lie on walls, floor and ceiling; of two parts of one role
+the one that comes later in the scene lies on the other, as a poster hangs on a wall.
 
 Where no light gets to, as between the bottom of a box and the floor, nothing is moved.
 """

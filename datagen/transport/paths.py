@@ -270,8 +270,7 @@ def sample_paths(
     pairs : (n, 2) indices of laser point and pixel. samples : number for each pair; a sample finds up to three paths
         of each order. A power of two makes the most of the quasi-random numbers.
     max_bounces : highest number of bounces, or None for no limit (Russian roulette). direct : whether to add paths of
-        one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point
-        (`Accuracy.occlusion` is not "off").
+        one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point.
     seed : the same seed gives the same paths.
 
     A laser point of a beam that states its cells (`Laser.cells`) lies anywhere in its cell, for paths of all orders.
