@@ -775,6 +775,9 @@ class BlocksOf:
         """Blocks of each replicate and group in a pilot."""
         return -(-PILOT // (REPLICATES * len(self.blocks.groups)))
 
+    def forget(self, group: int) -> None:
+        """Nothing: blocks do not remember."""
+
     def aim(self, group: int, error: Floats) -> None:
         """Draw vertices where errors (H,) of a group's histograms are large, from the next block on."""
         self.blocks.aim(group, self.last, error)

@@ -390,13 +390,14 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore
 
 @compiled()
 def _spread(  # type: ignore[no-untyped-def]
-    batch, rows, corners, level, n, surface, lit, seen, air, plane, z, path, variance, light, per
+    batch, rows, corners, level, is_even, n, surface, lit, seen, air, plane, z, path, variance, light, per
 ):  # fmt: skip
     """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
     guessed light; returns the next free row.
 
-    corners : (3, 3) and (3,) corners and weights there. n : normal. z : FoV point. path : that all have in common,
-    metres. variance : of the paths over the cluster, bins². per : bins of a metre.
+    corners : (3, 3) and (3,) corners and weights there. is_even : whether weights are linear in between. n :
+    normal. z : FoV point. path : that all have in common, metres. variance : of the paths over the cluster, bins².
+    per : bins of a metre.
     """
     (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
     # Times and weights at the corners of the parts: place i, j lies i/parts and j/parts of the way to two corners.
@@ -411,7 +412,7 @@ def _spread(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             linear = s0 * w0 + s1 * w1 + s2 * w2
             at[i, j] = linear
-            if max(i, j, parts - i - j) < parts:
+            if not is_even and max(i, j, parts - i - j) < parts:
                 at[i, j] = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * linear)
             time[i, j] = (distance(y, lit[0]) + distance(y, z) + path) * per
     for i in range(parts):
@@ -434,15 +435,16 @@ def _spread(  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _join(  # type: ignore[no-untyped-def]
-    y, n, surface, lit, seen, density, corners, level, bend, replicate, u, c, q, many, points, pool, p, room, leg,
-    power, state, batch, used, poured,
+    y, n, surface, lit, seen, density, corners, level, bend, is_even, replicate, u, c, q, many, points, pool, p, room,
+    leg, power, state, batch, used, poured,
 ):  # fmt: skip
     """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows
     of light it has, 0 if it brings none.
 
     density : 1/m², with which y is drawn. corners : of the piece that y lies on, and weights there; its times are
-    taken for linear on each of 4^level parts, which are `bend` bins late. u : random number that chooses the FoV
-    points. c, q, many, points : cluster, its first square, number of its squares, and how many points.
+    taken for linear on each of 4^level parts, which are `bend` bins late; is_even : whether its weights are, too.
+    u : random number that chooses the FoV points. c, q, many, points : cluster, its first square, number of its
+    squares, and how many points.
     """
     row, first = pool.cluster[p, c], p * (len(pool.part) // len(pool.cluster))
     each, total, chosen, per = many // points, 0.0, -1, room.per_metre
@@ -476,7 +478,7 @@ def _join(  # type: ignore[no-untyped-def]
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
     return _spread(
-        batch, poured, corners, level, n, surface, lit, seen, room.air, room.plane, z, path,
+        batch, poured, corners, level, is_even, n, surface, lit, seen, room.air, room.plane, z, path,
         variance * per * per, total, per,
     ) - poured  # fmt: skip
 
@@ -522,12 +524,12 @@ def _sample(  # type: ignore[no-untyped-def]
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
             points, blur = 4 * points, 0.5 * blur
+    is_even = across <= EVEN
     while (bend > STRAIGHT * width or across > EVEN) and level < LEVELS:
         level, bend, across = level + 1, 0.25 * bend, 0.25 * across
     return _join(
-        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, replicate, numbers[2], c, q,
-        many, points,
-        pool, p, room, leg, power, state, batch, used, poured,
+        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, is_even, replicate, numbers[2], c,
+        q, many, points, pool, p, room, leg, power, state, batch, used, poured,
     )  # fmt: skip
 
 

@@ -34,10 +34,12 @@ from datagen.units import path_from_time
 
 AIM = 0.9
 """Error that a run aims at, relative to the one asked."""
-COARSER = 4.0
+COARSER = 10.0
 """δ of the pilot, in units of that with which all elements together would err by their light."""
 FEW = 64
 """Most pairs of laser point and pixel of a pilot."""
+FIRST = 16
+"""Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
 UNSEEN = 1.1
@@ -149,7 +151,8 @@ class Cuts:
                 for r in range(2):
                     seed = self.seed(2, number, int(some[0]), r)
                     samples[active] += self._add(pairs, active, delta[self.groups], r, seed, pool, both[r], over[r])
-                light[np.ix_(active, some)] = 0.5 * (both[0] + both[1])
+                for a, k in enumerate(active):
+                    light[k, some] = 0.5 * (both[0, a] + both[1, a])
                 outside[np.ix_(active, some)] = over.mean(axis=0)
                 apart = np.subtract(both[0], both[1], out=both[0])
                 whole[some] = 0.25 * np.square(apart.sum(axis=0)).sum(axis=1)
@@ -213,7 +216,9 @@ class _Found:
     def add(self, run: Run, delta: Floats) -> None:
         """Add a run of all pairs, with `delta` (G,); NaN for groups that were left out."""
         weight = np.nan_to_num(delta ** (-2 * FALLS))
-        self.light += weight[self.cuts.groups][:, None, None] * run.light
+        for k in np.flatnonzero(weight[self.cuts.groups]):
+            run.light[k] *= weight[self.cuts.groups[k]]
+            self.light[k] += run.light[k]
         self.outside += weight[self.cuts.groups][:, None] * run.outside
         self.square += weight[:, None] ** 2 * run.square
         self.precision += weight
@@ -254,45 +259,52 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight:
     A pilot of some pairs tells how large errors are; all pairs are then run, and once more if that falls short.
     """
     cuts = Cuts(problem)
-    every, G = np.arange(len(cuts.pairs)), cuts.groups.max() + 1
-    few = every
+    few = every = np.arange(len(cuts.pairs))
     if len(every) > FEW:
         place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(every) / FEW
         few = place.astype(np.int64)
-    # A run that cuts only what is near tells how bright the scene is; light outside the window counts a little, so
-    # that a window without light takes no time.
-    first = cuts.run(few, np.full(G, COARSE), 0)
+    # About as coarse as what follows.
+    delta = COARSER * _asked(problem, cuts, few[:: max(len(few) // FIRST, 1)], target)
+    pilot, found = cuts.run(few, delta, 1), _Found(cuts, problem.capture.time.bins)
+    light, more = pilot.light, len(every) / len(few)
+    squares = more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS)
+    # Light of few histograms has few differences that tell its error, so that it is run more often.
+    each = np.square(light.sum(axis=0)).sum(axis=1)
+    histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
+    times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
+    for turn in range(RUNS):
+        wanted = _precision(problem, cuts, squares, light, target, more) - found.precision
+        if turn == 0:
+            # Coarser elements than the pilot's may err by more than is known from it.
+            known = delta ** (-2 * FALLS)
+            wanted = np.where(wanted < known, known * (wanted / known) ** FALLS, wanted)
+        wanted = np.where(wanted > ENOUGH * found.precision, wanted, 0.0)
+        if not wanted.any():
+            break
+        finest, unit = delta / FINEST, np.maximum(wanted, LEAST_LIGHT) / times
+        finer = np.maximum(unit ** (-0.5 / FALLS), finest)
+        for _ in range(times):
+            some = np.where(wanted > 0, finer, np.nan)
+            found.add(cuts.run(every, some, 2 + found.runs), some)
+        delta = np.where(wanted > 0, finer, delta)
+        light, more, squares = found.mean, 1.0, found.spread / np.maximum(found.expected, 1e-300)
+    return found.result()
+
+
+def _asked(problem: Problem, cuts: Cuts, few: Ints, target: float) -> Floats:
+    """(G,) L2 error that is asked of each group in a histogram, photons, from a run of a few that cuts only what is near.
+
+    Light outside the window counts a little, so that a window without light takes no time.
+    """
+    first, G = cuts.run(few, np.full(cuts.groups.max() + 1, COARSE), 0), cuts.groups.max() + 1
     outside = OUTSIDE * l2_norm(first.outside.sum(axis=0))
     whole = max(math.sqrt(_without_noise(first.light.sum(axis=0), first.whole)), outside, LEAST_LIGHT)
     asked = np.full(G, target * whole)
     for k in np.flatnonzero(cuts.groups < G - 1):
         own = math.sqrt(_without_noise(first.light[k], first.square[cuts.groups[k]]))
-        if own > max(FAINT * whole, problem.accuracy.faint_part * math.sqrt(len(few) / len(every))):
+        if own > max(FAINT * whole, problem.accuracy.faint_part * math.sqrt(len(few) / len(cuts.pairs))):
             asked[cuts.groups[k]] = min(target * whole, problem.accuracy.each_part * own)
-    delta = COARSER * asked / math.sqrt(len(few))
-    pilot, found = cuts.run(few, delta, 1), _Found(cuts, problem.capture.time.bins)
-    light, more = pilot.light, len(every) / len(few)
-    squares = more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS)
-    if more == 1:
-        found.add(pilot, delta)
-    # Light of few histograms has few differences that tell its error, so that it is run more often.
-    each = np.square(light.sum(axis=0)).sum(axis=1)
-    histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
-    times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
-    for _ in range(RUNS):
-        wanted = _precision(problem, cuts, squares, light, target, more) - found.precision
-        wanted[wanted < ENOUGH * found.precision] = 0.0
-        if not wanted.any():
-            break
-        finest = delta / FINEST
-        delta = np.where(
-            wanted > 0, np.maximum((np.maximum(wanted, 1e-300) / times) ** (-0.5 / FALLS), finest), np.nan
-        )
-        for _ in range(times):
-            found.add(cuts.run(every, delta, 2 + found.runs), delta)
-        delta = np.fmin(delta, finest * FINEST)
-        light, more, squares = found.mean, 1.0, found.spread / np.maximum(found.expected, 1e-300)
-    return found.result()
+    return asked / math.sqrt(len(few))
 
 
 def _without_noise(light: Floats, squares: Floats) -> float:

@@ -73,6 +73,9 @@ class Source(Protocol):
     def aim(self, group: int, error: Floats) -> None:
         """Learn the errors (H,) of the histograms of a group after the pilot, which may steer later blocks."""
 
+    def forget(self, group: int) -> None:
+        """Learn that the blocks of a group so far do not count."""
+
 
 class Sampled(NamedTuple):
     """Sampled light, by component.
@@ -199,6 +202,7 @@ class _Unit:
         """Forget the light; returns the number of blocks of each replicate that it came from."""
         forgotten, self.counted = self.counted, 0
         self.light[:] = 0.0
+        self.source.forget(self.group)
         return forgotten
 
     def run(self, blocks: int) -> None:

@@ -18,7 +18,6 @@ from datagen.records import Scene, Sensor
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import get
-from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.rays import Raycaster
 
 
@@ -90,27 +89,6 @@ class PixelCones(NamedTuple):
     def take(self, pixels: Ints) -> PixelCones:
         """The cones of some pixels."""
         return PixelCones(self.planes[pixels], self.solid_angle[pixels])
-
-
-class PixelPatches(NamedTuple):
-    """The patch of wall that each of P pixels sees, roughly, from a fixed 3 × 3 grid of lines of sight.
-
-    center : (P, 3), radius : (P,) a sphere about the patch, m (infinite where a line of sight meets nothing).
-    """
-
-    center: Floats
-    radius: Floats
-
-    @classmethod
-    def of(cls, caster: Raycaster, sensor: Sensor) -> PixelPatches:
-        """The patches of a sensor's pixels."""
-        lines = lines_of_sight(caster, sensor, 3)
-        position = np.where(lines.valid[..., None], lines.met.position.reshape(lines.inner.shape), np.inf)
-        with np.errstate(invalid="ignore", over="ignore"):
-            center = position.mean(axis=1)
-            radius = np.linalg.norm(position - center[:, None], axis=2).max(axis=1)
-        complete = lines.valid.all(axis=1) & np.isfinite(radius)
-        return cls(np.where(complete[:, None], center, 0.0), np.where(complete, radius, np.inf))
 
 
 def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:

@@ -98,6 +98,12 @@ class PathsOf:
     def aim(self, group: int, error: Floats) -> None:
         """Nothing: each pair has as many paths as any other."""
 
+    def forget(self, group: int) -> None:
+        """Leave out what was added so far."""
+        self.blocks = 0
+        if self.parts is not None:
+            self.parts[:] = 0.0
+
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add a block to the light (H, T + 2); returns its cost in shadow rays."""
         at_once = max(VALUES_AT_ONCE // (self.rows.count * light.shape[1]), 1)

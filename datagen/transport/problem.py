@@ -10,7 +10,7 @@ import numpy as np
 from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.fields_of_view import PixelCones, PixelPatches
+from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.rays import Raycaster
 
@@ -40,7 +40,7 @@ class Problem:
 
     Attributes
     ----------
-    points : the laser points. cones, patches : of the pixels.
+    points : the laser points. cones : of the pixels.
     seed : of all random numbers.
     split_parts : whether the primary is split by part.
     """
@@ -51,7 +51,6 @@ class Problem:
     caster: Raycaster
     materials: MaterialTable
     cones: PixelCones
-    patches: PixelPatches
     points: LaserPoints
     seed: int
     split_parts: bool
@@ -66,7 +65,7 @@ class Problem:
         cones = PixelCones.of(capture.sensor)
         return cls(
             scene, capture, accuracy, caster, MaterialTable.of(scene.materials), cones,
-            PixelPatches.of(caster, capture.sensor), LaserPoints.of(caster, scene, capture.laser), seed, split_parts,
+            LaserPoints.of(caster, scene, capture.laser), seed, split_parts,
         )  # fmt: skip
 
     @property

@@ -239,7 +239,7 @@ def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
     relative = error / (l2_norm(sum(light.values(), start=np.zeros(shape))) or 1.0)
-    met = relative <= MET * target and all(own <= problem.accuracy.each_part for own in part_errors.values())
+    met = relative <= MET * target and all(own <= MET * problem.accuracy.each_part for own in part_errors.values())
     return Estimate(
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
         {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
