@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.arrival_times import pour, tent, widened
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate_at_most
 from datagen.transport.bvh import CLUSTER, triangle_by_area
@@ -57,6 +57,10 @@ size over its distance up to which its weights do; and most times that an elemen
 spread of its light: such errors are alike in all replicates."""
 MOST_ROWS = 4**LEVELS
 """Most rows of light of a sample."""
+SAGITTA = 0.1
+"""Arc of the arrival times over a cluster, bins, up to which they count as linear."""
+MOST_SAMPLES = 1 << 17
+"""Samples of a part in a histogram from which on only what is near is cut."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 BOX, PIECE = 0, 1
@@ -98,13 +102,15 @@ class Room(NamedTuple):
 class Batch(NamedTuple):
     """Samples that wait for their rays.
 
-    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. first,
-    last : (n,) span of the sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners
-    of a triangle, bins; and `at`, (…, 3) weights there. grid : scratch.
+    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram.
+    is_near : (n,) whether the cluster is large for its distance and cannot be cut. first, last : (n,) span of the
+    sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners of a triangle, bins; and
+    `at`, (…, 3) weights there. grid : scratch.
     """
 
     ends: NDArray[np.float32]
     row: Ints
+    is_near: Bools
     first: Ints
     last: Ints
     light: Floats
@@ -119,7 +125,9 @@ class Batch(NamedTuple):
         many = 4 * n
         time, at = (np.empty((many, 3)) for _ in range(2))
         grid = np.empty((2, 2**LEVELS + 1, 2**LEVELS + 1))
-        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at, grid)
+        return cls(
+            np.empty((n, 3, 3), np.float32), row, np.empty(n, np.bool_), first, last, np.empty(many), time, at, grid
+        )
 
 
 @compiled(forceinline=True)
@@ -316,12 +324,12 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  # type: ignore[no-untyped-def]
+def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, room, lit, seen):  # type: ignore[no-untyped-def]
     """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, by how
     much the mean of the times at its corners is later than the time at its middle, bins, and the square of its size
     over its distance from the laser point and the cluster.
 
-    leg : from the laser and to the sensor, metres.
+    leg, last_leg : from the laser, and to the sensor, metres.
     """
     x, z, size = lit[0], seen[0], seen[2]
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
@@ -329,7 +337,9 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  #
         return NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
-    if size > COARSEST_CLUSTER * d3 and size > 0.5 * h and many > 1:
+    # Over a cluster times must be linear, too.
+    is_near = size > COARSEST_CLUSTER * d3 and size > 0.5 * h
+    if many > 1 and (is_near or 0.25 * size * size * room.per_metre > SAGITTA * min(d3, last_leg)):
         return CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0
     may_halve = h > room.smallest
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
@@ -347,6 +357,7 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, room, lit, seen):  #
     width = max(1.0, (late - early) * room.per_metre)
     bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre
     # What arrives outside the window only counts as a sum.
+    leg += last_leg if room.device else 0.0
     is_inside = (late + 2 * size + leg) * room.per_metre > room.start
     is_inside &= (middle - h - 2 * size + leg) * room.per_metre < room.start + room.bins
     across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
@@ -520,6 +531,7 @@ def _sample(  # type: ignore[no-untyped-def]
         y0 = y1 = y2 = y
     density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
     c, q, many, points, level = tag[top, 2], tag[top, 3], tag[top, 4], 1, 0
+    batch.is_near[used] = many == 1 and seen[2] > COARSEST_CLUSTER * distance(y, seen[0])
     if pool.cluster[p, c, 17] == 0.0:
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
@@ -542,8 +554,9 @@ def emit(  # type: ignore[no-untyped-def]
     pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
     part's rows, −1 for parts that are left out. replicate : 0 or 1. tag, piece : what waits, (STACK, 5) BOX or PIECE,
     its index, the cluster, its first square and their number; (STACK, 15) corners of a piece, and the guessed weights
-    and distances to the laser point there. at : (3,) pair, part and height of the stack at which to go on, zeros at
-    first; pair is n when all is done. numbers, state : (3,) and (1,) random numbers, and the state of their stream.
+    and distances to the laser point there. at : (4,) pair, part and height of the stack at which to go on, and
+    samples of that part, zeros at first; pair is n when all is done. numbers, state : (3,) and (1,) random numbers,
+    and the state of their stream.
     """
     used = poured = 0
     kind, values, lasers = room.kind, room.values, room.lasers
@@ -564,25 +577,28 @@ def emit(  # type: ignore[no-untyped-def]
                 continue
             surface = (kind[k], values[k], room.outer[k])
             if top == 0:
+                at[3] = 0
                 _push(tag, 0, BOX, tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
                 top = 1
             while top > 0:
                 top -= 1
                 c = tag[top, 2]
+                # Guesses of lobes may be brighter than all light that there is.
+                enough = delta[k] if at[3] < MOST_SAMPLES else np.inf
                 gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
                 most, area, width, bend, across = 0.0, 0.0, 1.0, 0.0, 0.0
                 if tag[top, 0] == BOX:
                     light = _light_of_box(tree, tag[top, 1], surface, room.peak[k], lit, seen, room.air, room.plane)
                     if light < 0.0:
                         continue
-                    if gain * light > delta[k]:
+                    if gain * light > enough:
                         top = _open_box(tree, tag, piece, top, surface, lit, seen, room.air, room.plane)
                         continue
                 else:
                     n = get(tree.normal, tag[top, 1], 0)
-                    legs = leg + (pool.leg[int(pool.cluster[p, c, 10])] if room.device else 0.0)
+                    last_leg = pool.leg[int(pool.cluster[p, c, 10])]
                     verdict, most, area, width, bend, across = _judged(
-                        piece, top, n, tag[top, 4], surface, delta[k], gain, legs, room, lit, seen
+                        piece, top, n, tag[top, 4], surface, enough, gain, leg, last_leg, room, lit, seen
                     )
                     if verdict == CLUSTER_FIRST:
                         top = _open_cluster(
@@ -597,6 +613,7 @@ def emit(  # type: ignore[no-untyped-def]
                 if used == len(batch.row) or poured + MOST_ROWS > len(batch.light):
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
+                at[3] += 1
                 for d in range(3):
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
@@ -625,9 +642,14 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
 
 @compiled()
 def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
-    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…)."""
+    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…);
+    returns the light of all samples, and of those that are near."""
+    total = near = 0.0
     for s in rows:
         for m in range(batch.first[s], batch.last[s]):
             light, (t0, t1, t2) = batch.light[m], get(batch.time, m, 0)
+            total += light
+            near += light if batch.is_near[s] else 0.0
             shape = tent(t0, t1, t2, batch.at[m, 0], batch.at[m, 1], batch.at[m, 2], light)
             outside[batch.row[s]] += pour(histogram, batch.row[s], shape, light)
+    return total, near

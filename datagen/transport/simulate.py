@@ -170,15 +170,17 @@ def _to_target(problem: Problem) -> Estimate:
         return _joined(problem, None, _sampled(problem, others, np.zeros(shape), 0.0))
     # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
     primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / (1 + len(others))))
+    if primary is None:
+        return _joined(problem, None, _sampled(problem, components, np.zeros(shape), 0.0))
     whole = primary.light.sum(axis=0)
     found = _sampled(problem, others, whole, primary.error)
     norm = l2_norm(whole + sum(found.found.light.values()))
+    if is_enough(primary.error, l2_norm(whole), norm, accuracy.target):
+        return _joined(problem, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
-    if not is_enough(primary.error, l2_norm(whole), norm, accuracy.target):
-        rest = sum(found.found.light.values(), start=np.zeros_like(whole))
-        again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
-        return _joined(problem, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found)))
-    return _joined(problem, primary, found)
+    rest = sum(found.found.light.values(), start=np.zeros_like(whole))
+    again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
+    return _joined(problem, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found)))
 
 
 def _sampled(problem: Problem, components: Sequence[str], known: Floats, error: float) -> _Samples:
