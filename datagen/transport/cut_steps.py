@@ -37,7 +37,7 @@ from datagen.transport.weights import weight
 COARSEST = 1.0
 """Largest size of an element relative to its distance, whatever its light."""
 COARSEST_CLUSTER = 0.7
-"""The same of a cluster of FoV points."""
+"""The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
 LEAST = 0.1
@@ -74,7 +74,8 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 class Room(NamedTuple):
     """What all pairs share.
 
-    kind, values : of the materials. peak : (K,) largest BRDF of each part, 1/sr. outer : (K,) 1 for closed meshes
+    kind, values : of the materials. peak, lobe : (K,) largest BRDF of each part, 1/sr,
+    and half width of its narrowest lobe, rad. outer : (K,) 1 for closed meshes
     whose normals point outward, −1 inward, 0 for other meshes. lasers, power : laser points, and the share of light
     that air lets through to them. per_metre, start, bins : bins of a metre of path, number of the
     first bin, and of all bins. device : whether the legs to laser and sensor count. air : attenuation, 1/m. plane :
@@ -85,6 +86,7 @@ class Room(NamedTuple):
     kind: Ints | NDArray[np.uint8]
     values: Floats
     peak: Floats
+    lobe: Floats
     outer: Floats
     lasers: LaserPoints
     power: Floats
@@ -324,12 +326,12 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, room, lit, seen):  # type: ignore[no-untyped-def]
+def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, lobe, room, lit, seen):  # type: ignore[no-untyped-def]
     """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, by how
     much the mean of the times at its corners is later than the time at its middle, bins, and the square of its size
     over its distance from the laser point and the cluster.
 
-    leg, last_leg : from the laser, and to the sensor, metres.
+    leg, last_leg : from the laser, and to the sensor, metres. lobe : narrowest at the piece and the cluster, rad.
     """
     x, z, size = lit[0], seen[0], seen[2]
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
@@ -338,7 +340,7 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, room, lit,
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     # Over a cluster times must be linear, too.
-    is_near = size > COARSEST_CLUSTER * d3 and size > 0.5 * h
+    is_near = size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h
     if many > 1 and (is_near or 0.25 * size * size * room.per_metre > SAGITTA * min(d3, last_leg)):
         return CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0
     may_halve = h > room.smallest
@@ -502,8 +504,8 @@ def _fraction(u):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def _sample(  # type: ignore[no-untyped-def]
-    tree, tag, piece, top, judged, surface, lit, seen, numbers, replicate, pool, p, room, leg, power, state, batch,
-    used, poured,
+    tree, tag, piece, top, judged, surface, lit, seen, lobe, numbers, replicate, pool, p, room, leg, power, state,
+    batch, used, poured,
 ):  # fmt: skip
     """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
 
@@ -531,7 +533,7 @@ def _sample(  # type: ignore[no-untyped-def]
         y0 = y1 = y2 = y
     density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
     c, q, many, points, level = tag[top, 2], tag[top, 3], tag[top, 4], 1, 0
-    batch.is_near[used] = many == 1 and seen[2] > COARSEST_CLUSTER * distance(y, seen[0])
+    batch.is_near[used] = many == 1 and seen[2] > COARSEST_CLUSTER * lobe * distance(y, seen[0])
     if pool.cluster[p, c, 17] == 0.0:
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
@@ -586,6 +588,7 @@ def emit(  # type: ignore[no-untyped-def]
                 # Guesses of lobes may be brighter than all light that there is.
                 enough = delta[k] if at[3] < MOST_SAMPLES else np.inf
                 gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
+                lobe = min(room.lobe[k], room.lobe[pool.part[int(pool.cluster[p, c, 10])]])
                 most, area, width, bend, across = 0.0, 0.0, 1.0, 0.0, 0.0
                 if tag[top, 0] == BOX:
                     light = _light_of_box(tree, tag[top, 1], surface, room.peak[k], lit, seen, room.air, room.plane)
@@ -598,7 +601,7 @@ def emit(  # type: ignore[no-untyped-def]
                     n = get(tree.normal, tag[top, 1], 0)
                     last_leg = pool.leg[int(pool.cluster[p, c, 10])]
                     verdict, most, area, width, bend, across = _judged(
-                        piece, top, n, tag[top, 4], surface, enough, gain, leg, last_leg, room, lit, seen
+                        piece, top, n, tag[top, 4], surface, enough, gain, leg, last_leg, lobe, room, lit, seen
                     )
                     if verdict == CLUSTER_FIRST:
                         top = _open_cluster(
@@ -617,8 +620,8 @@ def emit(  # type: ignore[no-untyped-def]
                 for d in range(3):
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
-                    tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, numbers,
-                    replicate, pool, p,
+                    tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, lobe,
+                    numbers, replicate, pool, p,
                     room, leg, power, state, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:

@@ -115,14 +115,14 @@ class Cuts:
         bin_m = float(path_from_time(axis.width_s))
         air = scene.attenuation_per_m
         self.room = Room(
-            materials.kind, materials.values, peak, outer_sides(scene), points,
+            materials.kind, materials.values, peak, width, outer_sides(scene), points,
             np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
             axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
             ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent,
             np.array([*caster.center, caster.half_extent_m]),
             caster.offset_m,
         )  # fmt: skip
-        self.squares = squares_of(problem, np.random.default_rng(self.seed(0)))
+        self.squares = squares_of(problem, width, np.random.default_rng(self.seed(0)))
         of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
         self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))
@@ -246,10 +246,10 @@ class _Found:
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
         share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
-        scene, errors = cuts.problem.scene, dict[str, float]()
+        scene, errors, whole = cuts.problem.scene, dict[str, float](), l2_norm(total)
         for k, name in enumerate(scene.part_names):
             own = l2_norm(light[k])
-            if scene.roles[k] == "object" and own > cuts.problem.accuracy.faint_part:
+            if scene.roles[k] == "object" and own > max(FAINT * whole, cuts.problem.accuracy.faint_part):
                 errors[name] = math.sqrt(each[cuts.groups[k]].sum()) / own
         outside = (self.outside / np.maximum(self.precision, 1e-300)[cuts.groups][:, None]).sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]

@@ -12,7 +12,9 @@ from datagen.transport.fields_of_view import FovPool, fov_points
 from datagen.transport.problem import Problem
 
 SQUARES = (16, 256)
-"""Squares of a pixel with a FoV point each, powers of 4: of flat pixels, and of all others."""
+"""Squares of a pixel with a FoV point each, powers of 4: of flat pixels where no lobe is narrow, and of others."""
+NARROW = 0.2
+"""Half width of a lobe, rad, from which on flat pixels have as many squares as all others."""
 FLAT = 1e-6
 """Sine of the angle between normals, and thickness in metres, up to which points lie on one flat surface."""
 
@@ -78,8 +80,11 @@ def is_flat(cluster: Floats) -> Bools:
     return np.asarray((cluster[..., 7] < FLAT) & (cluster[..., 8] < FLAT))
 
 
-def squares_of(problem: Problem, rng: np.random.Generator) -> Ints:
-    """(P,) number of squares that each pixel is divided into, as a few FoV points decide that are not used again."""
+def squares_of(problem: Problem, lobe: Floats, rng: np.random.Generator) -> Ints:
+    """(P,) number of squares that each pixel is divided into, as a few FoV points decide that are not used again.
+
+    lobe : (K,) half width of the narrowest lobe of each part, rad.
+    """
     pixels = np.arange(len(problem.capture.sensor.pixels))
     root = np.concatenate(
         [
@@ -87,7 +92,7 @@ def squares_of(problem: Problem, rng: np.random.Generator) -> Ints:
             for some in np.array_split(pixels, 1 + len(pixels) // 4096)
         ]
     )
-    return np.where(is_flat(root), SQUARES[0], SQUARES[1])
+    return np.where(is_flat(root) & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
 
 
 def _in_morton_order(level: int) -> Floats:
