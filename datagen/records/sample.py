@@ -44,8 +44,8 @@ class Transient:
     met_target : whether the claimed error is within a quarter of the target, and each object's within the part
         target; None with a number of samples.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
-        than `Accuracy.faint_part`, or than 1e-4 of the primary, are left out, and all parts where the primary is found by paths (narrow lobes). The
-        error may be above the part target where an object is nearly hidden, or brings less than 10⁻⁴ of all light.
+        than `Accuracy.faint_part`, or than 10⁻⁴ of the primary, are left out, and all parts where the primary is
+        found by paths. The error may be above the part target where an object is nearly hidden.
     samplers : component → how its light was found: "cuts", "blocks" or "paths" (docs/physics.md).
     rays : component → rays that its light took.
 
