@@ -55,8 +55,11 @@ STRAIGHT, EVEN, LEVELS = 0.02, 0.5, 2
 """Bend of the arrival times over an element, relative to their span, up to which they count as linear; square of its
 size over its distance up to which its weights do; and most times that an element with more is quartered for the
 spread of its light: such errors are alike in all replicates."""
-MOST_ROWS = 4**LEVELS
+MOST_ROWS = 4 * 4**LEVELS
 """Most rows of light of a sample."""
+WIDE = 0.3
+"""Variance of the arrival times over a cluster, relative to that over an element or a bin, from which on it is
+spread by quarters: of a spread only mean and variance are known."""
 SAGITTA = 0.1
 """Arc of the arrival times over a cluster, bins, up to which they count as linear."""
 MOST_SAMPLES = 1 << 17
@@ -124,7 +127,7 @@ class Batch(NamedTuple):
     def of(cls, n: int) -> Batch:
         """Room for n samples."""
         row, first, last = (np.empty(n, np.int64) for _ in range(3))
-        many = 4 * n
+        many = 8 * n
         time, at = (np.empty((many, 3)) for _ in range(2))
         grid = np.empty((2, 2**LEVELS + 1, 2**LEVELS + 1))
         return cls(
@@ -381,36 +384,40 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _change_over_cluster(y, n, z, n3, to_sensor, sides, device):  # type: ignore[no-untyped-def]
-    """Mean and variance, m and m², of the change of the path by way of y over a flat cluster with the middle z.
+def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
+    """Mean change of the path by way of y over a flat cluster with the middle z, and its changes along the two sides,
+    metres.
 
-    n3, sides : normal and sides of the cluster, metres.
+    n3, sides : normal and sides of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not
+    count.
 
     Along each side, weights change by κ and paths by τ. With weights 1 + κ u for u from −½ to ½ paths have the mean
-    κ τ/12 and the variance τ²/12. κ is that of matt surfaces.
+    κ τ/12, and that of a leg of length r, which is bent, grows by (s² − (s · w)²)/(24 r) for a side s and its
+    direction w. κ is that of matt surfaces.
     """
     d = subtract(y, z)
-    square, up, out = dot(d, d), dot(d, n3), dot(d, n)
-    mean = variance = 0.0
-    for j in range(2):
-        s = (sides[3 * j], sides[3 * j + 1], sides[3 * j + 2])
-        tau = -dot(d, s) / math.sqrt(square) - (dot(to_sensor, s) if device else 0.0)
+    square, up, out, last = dot(d, d), dot(d, n3), dot(d, n), 1.0 if last_leg < np.inf else 0.0
+    r, mean = math.sqrt(square), 0.0
+    s1, s2 = (sides[0], sides[1], sides[2]), (sides[3], sides[4], sides[5])
+    one, two = -dot(d, s1) / r - last * dot(to_sensor, s1), -dot(d, s2) / r - last * dot(to_sensor, s2)
+    for s, tau in ((s1, one), (s2, two)):
         kappa = 4.0 * dot(d, s) / square - dot(n3, s) / up - dot(n, s) / out
         mean += max(min(kappa, 2.0), -2.0) * tau / 12.0
-        variance += tau * tau / 12.0
-    return mean, variance
+        mean += (dot(s, s) - (dot(d, s) / r) ** 2) / (24.0 * r)
+        mean += (dot(s, s) - dot(to_sensor, s) ** 2) / (24.0 * last_leg)
+    return mean, one, two
 
 
 @compiled()
 def _spread(  # type: ignore[no-untyped-def]
-    batch, rows, corners, level, is_even, n, surface, lit, seen, air, plane, z, path, variance, light, per
+    batch, rows, corners, level, is_even, n, surface, lit, seen, air, plane, z, path, one, two, light, per
 ):  # fmt: skip
     """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
     guessed light; returns the next free row.
 
     corners : (3, 3) and (3,) corners and weights there. is_even : whether weights are linear in between. n :
-    normal. z : FoV point. path : that all have in common, metres. variance : of the paths over the cluster, bins².
-    per : bins of a metre.
+    normal. z : FoV point. path : that all have in common, metres. one, two : change of the
+    path along the sides of the cluster, bins. per : bins of a metre.
     """
     (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
     # Times and weights at the corners of the parts: place i, j lies i/parts and j/parts of the way to two corners.
@@ -428,19 +435,26 @@ def _spread(  # type: ignore[no-untyped-def]
             if not is_even and max(i, j, parts - i - j) < parts:
                 at[i, j] = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * linear)
             time[i, j] = (distance(y, lit[0]) + distance(y, z) + path) * per
-    for i in range(parts):
-        for j in range(parts - i):
-            # A part that stands upright, and one beside it that stands upside down.
-            for down in range(2 if j < parts - i - 1 else 1):
-                a, b = (i + 1, j) if down else (i, j)
-                batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = widened(
-                    time[a, b], time[i + 1, j + down], time[i, j + 1], variance
-                )
-                row = batch.at[rows]
-                row[0], row[1], row[2] = at[a, b], at[i + 1, j + down], at[i, j + 1]
-                batch.light[rows] = row[0] + row[1] + row[2]
-                total += batch.light[rows]
-                rows += 1
+    # A cluster over which times change by more than over the piece is spread by its quarters.
+    a, b, c = time[0, 0], time[parts, 0], time[0, parts]
+    m, variance = (a + b + c) / 3.0, (one * one + two * two) / 12.0
+    quarters = 2 if variance > WIDE * max((a - m) ** 2 + (b - m) ** 2 + (c - m) ** 2, 1.0) / 12.0 else 1
+    variance /= quarters * quarters
+    for q in range(quarters * quarters):
+        later = 0.25 * (one * (2 * (q % 2) - 1) + two * (2 * (q // 2) - 1)) if quarters > 1 else 0.0
+        for i in range(parts):
+            for j in range(parts - i):
+                # A part that stands upright, and one beside it that stands upside down.
+                for down in range(2 if j < parts - i - 1 else 1):
+                    a, b = (i + 1, j) if down else (i, j)
+                    batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = widened(
+                        time[a, b] + later, time[i + 1, j + down] + later, time[i, j + 1] + later, variance
+                    )
+                    row = batch.at[rows]
+                    row[0], row[1], row[2] = at[a, b], at[i + 1, j + down], at[i, j + 1]
+                    batch.light[rows] = row[0] + row[1] + row[2]
+                    total += batch.light[rows]
+                    rows += 1
     for row in range(first, rows):
         batch.light[row] *= light / total
     return rows
@@ -482,17 +496,17 @@ def _join(  # type: ignore[no-untyped-def]
     ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit[0], lit[1], room.offset, room.frame)
     ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(y, n, side, room.frame)
     ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
-    mean = variance = 0.0
+    mean = one = two = 0.0
     if row[17] > 0.0:
         # Times, which change most over a pixel, are those of all of a flat cluster.
         z, last_leg = seen[0], row[17]
         sides = (row[11], row[12], row[13], row[14], row[15], row[16])
-        mean, variance = _change_over_cluster(y, n, z, seen[1], seen[5], sides, room.device)
+        mean, one, two = _change_over_cluster(y, n, z, seen[1], seen[5], sides, last_leg if room.device else np.inf)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
     return _spread(
         batch, poured, corners, level, is_even, n, surface, lit, seen, room.air, room.plane, z, path,
-        variance * per * per, total, per,
+        one * per, two * per, total, per,
     ) - poured  # fmt: skip
 
 
