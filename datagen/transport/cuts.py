@@ -236,12 +236,12 @@ class _Found:
     @property
     def mean(self) -> Floats:
         """(K, H, T) light by part."""
-        return np.asarray(self.light / np.maximum(self.precision, 1e-300)[self.cuts.groups][:, None, None])
+        return np.asarray(self.light / np.maximum(self.precision, LEAST_LIGHT)[self.cuts.groups][:, None, None])
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
         cuts, light = self.cuts, self.mean
-        each = UNSEEN**2 * self.square / np.maximum(self.precision, 1e-300)[:, None] ** 2
+        each = UNSEEN**2 * self.square / np.maximum(self.precision, LEAST_LIGHT)[:, None] ** 2
         of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
@@ -251,7 +251,7 @@ class _Found:
             own = l2_norm(light[k])
             if scene.roles[k] == "object" and own > max(FAINT * whole, cuts.problem.accuracy.faint_part):
                 errors[name] = math.sqrt(each[cuts.groups[k]].sum()) / own
-        outside = (self.outside / np.maximum(self.precision, 1e-300)[cuts.groups][:, None]).sum(axis=0)
+        outside = (self.outside / np.maximum(self.precision, LEAST_LIGHT)[cuts.groups][:, None]).sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
             rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
@@ -285,13 +285,12 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
         if turn == 0:
             # Coarser elements than the pilot's may err by more than is known from it.
             known = delta ** (-2 * FALLS)
-            wanted = np.where(wanted < known, known * (wanted / known) ** FALLS, wanted)
+            wanted = np.maximum(wanted, known * np.minimum(wanted / known, 1.0) ** FALLS)
         wanted = np.where(wanted > ENOUGH * found.precision, wanted, 0.0)
         if not wanted.any():
             break
-        # Errors that all runs share do not average out, so that elements become finer than noise alone would ask.
-        finest, unit = delta / FINEST, np.maximum(wanted, LEAST_LIGHT) / math.sqrt(times)
-        finer = np.maximum(unit ** (-0.5 / FALLS), finest)
+        # Elements are as fine as those of a single run, because what all runs share does not average out.
+        finer = np.maximum(np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS), delta / FINEST)
         for _ in range(times):
             some = np.where(wanted > 0, finer, np.nan)
             found.add(cuts.run(every, some, 2 + found.runs), some)
