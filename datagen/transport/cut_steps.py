@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.arrival_times import pour, tent, widened
 from datagen.transport.brdf import LAMBERTIAN, dot, evaluate_at_most
 from datagen.transport.bvh import CLUSTER, triangle_by_area
@@ -108,14 +108,13 @@ class Batch(NamedTuple):
     """Samples that wait for their rays.
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram.
-    is_near : (n,) whether the cluster is large for its distance and cannot be cut. first, last : (n,) span of the
+    first, last : (n,) span of the
     sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners of a triangle, bins; and
     `at`, (…, 3) weights there. grid : scratch.
     """
 
     ends: NDArray[np.float32]
     row: Ints
-    is_near: Bools
     first: Ints
     last: Ints
     light: Floats
@@ -130,9 +129,7 @@ class Batch(NamedTuple):
         many = 8 * n
         time, at = (np.empty((many, 3)) for _ in range(2))
         grid = np.empty((2, 2**LEVELS + 1, 2**LEVELS + 1))
-        return cls(
-            np.empty((n, 3, 3), np.float32), row, np.empty(n, np.bool_), first, last, np.empty(many), time, at, grid
-        )
+        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at, grid)
 
 
 @compiled(forceinline=True)
@@ -519,7 +516,7 @@ def _fraction(u):  # type: ignore[no-untyped-def]
 @compiled(forceinline=True)
 def _sample(  # type: ignore[no-untyped-def]
     tree, tag, piece, top, judged, surface, lit, seen, lobe, numbers, replicate, pool, p, room, leg, power, state,
-    batch, used, poured,
+    expected, batch, used, poured,
 ):  # fmt: skip
     """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
 
@@ -547,7 +544,12 @@ def _sample(  # type: ignore[no-untyped-def]
         y0 = y1 = y2 = y
     density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
     c, q, many, points, level = tag[top, 2], tag[top, 3], tag[top, 4], 1, 0
-    batch.is_near[used] = many == 1 and seen[2] > COARSEST_CLUSTER * lobe * distance(y, seen[0])
+    # What is expected of all elements, and of those whose FoV points are far apart for their distance.
+    gain = power * pool.cluster[p, c, 9]
+    expected[0] += gain * area * most
+    expected[1] += (
+        gain * area * most if many == 1 and seen[2] > COARSEST_CLUSTER * lobe * distance(y, seen[0]) else 0.0
+    )
     if pool.cluster[p, c, 17] == 0.0:
         blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
         while points < many and points < MOST_POINTS and blur > BLURRED:
@@ -563,7 +565,7 @@ def _sample(  # type: ignore[no-untyped-def]
 
 @compiled()
 def emit(  # type: ignore[no-untyped-def]
-    pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, batch
+    pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, expected, batch
 ):  # fmt: skip
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
@@ -572,7 +574,8 @@ def emit(  # type: ignore[no-untyped-def]
     its index, the cluster, its first square and their number; (STACK, 15) corners of a piece, and the guessed weights
     and distances to the laser point there. at : (4,) pair, part and height of the stack at which to go on, and
     samples of that part, zeros at first; pair is n when all is done. numbers, state : (3,) and (1,) random numbers,
-    and the state of their stream.
+    and the state of their stream. expected : (2,) photons as guessed, added up: of all pieces, and of those whose FoV
+    points are far apart for their distance.
     """
     used = poured = 0
     kind, values, lasers = room.kind, room.values, room.lasers
@@ -636,7 +639,7 @@ def emit(  # type: ignore[no-untyped-def]
                 rows = _sample(
                     tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, lobe,
                     numbers, replicate, pool, p,
-                    room, leg, power, state, batch, used, poured,
+                    room, leg, power, state, expected, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:
                     row = slot[k] * len(pairs) + pair
@@ -659,14 +662,9 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
 
 @compiled()
 def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
-    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…);
-    returns the light of all samples, and of those that are near."""
-    total = near = 0.0
+    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…)."""
     for s in rows:
         for m in range(batch.first[s], batch.last[s]):
             light, (t0, t1, t2) = batch.light[m], get(batch.time, m, 0)
-            total += light
-            near += light if batch.is_near[s] else 0.0
             shape = tent(t0, t1, t2, batch.at[m, 0], batch.at[m, 1], batch.at[m, 2], light)
             outside[batch.row[s]] += pour(histogram, batch.row[s], shape, light)
-    return total, near

@@ -56,9 +56,9 @@ LEAST_LIGHT = 1e-100
 """Light that is divided by at least."""
 RUNS = 2
 """Most times that all pairs are run with another δ."""
-NEAR = 0.02
-"""Share of light between surfaces that are nearer than FoV points from which on cuts do not know it: 0.15 for a plate
-1 mm from a laser point, 0.003 at most in rooms with rough walls."""
+NEAR = 0.05
+"""Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
+light: 0.2 for a plate 1 mm from a laser point, 0.014 at most in rooms with rough walls."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 COARSE = 1e300
@@ -103,7 +103,8 @@ class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    light : (2,) photons of all runs so far, and of elements that are near, whose light cuts do not know well.
+    expected : (2,) photons as guessed, of all runs so far, and of elements whose FoV points are far apart for their
+    distance, of which a few have most of the light.
     """
 
     def __init__(self, problem: Problem) -> None:
@@ -126,7 +127,7 @@ class Cuts:
         of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
         self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))
-        self.light = np.zeros(2)
+        self.expected = np.zeros(2)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
@@ -178,7 +179,7 @@ class Cuts:
         while at[0] < len(pairs):
             used = emit(
                 pairs, delta, slot, replicate, seed, self.tree, self.room, pool, *self.waiting, at, numbers, state,
-                self.batch,
+                self.expected, self.batch,
             )  # fmt: skip
             visible = self.every[:used]
             samples += np.bincount(self.batch.row[:used] // len(pairs), minlength=len(active))
@@ -186,7 +187,7 @@ class Cuts:
                 origin, span = self.origin[: len(visible)], self.span[: len(visible)]
                 legs_of(self.batch, visible, leg, origin, span)
                 visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
-            self.light += pour_all(self.batch, visible, light.reshape(-1, light.shape[2]), outside.reshape(-1))
+            pour_all(self.batch, visible, light.reshape(-1, light.shape[2]), outside.reshape(-1))
         return samples
 
 
@@ -272,7 +273,7 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     # About as coarse as what follows.
     delta = COARSER * _asked(problem, cuts, few[:: max(len(few) // FIRST, 1)], target)
     pilot, found = cuts.run(few, delta, 1), _Found(cuts, problem.capture.time.bins)
-    if cuts.light[1] > NEAR * cuts.light[0]:
+    if cuts.expected[1] > NEAR * cuts.expected[0]:
         return None
     light, more = pilot.light, len(every) / len(few)
     squares = more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS)
