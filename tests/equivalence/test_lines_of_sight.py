@@ -9,7 +9,9 @@ from rooms import bins_of_path, furnished_box, one_point_capture, square_pixels
 from datagen import Accuracy, Capture, Sensor, simulate
 
 EYE = np.array([1.5, 0.1, 1.3])
-WAYS = {"paths": Accuracy(samples=1024, max_bounces=4), "elements": Accuracy(target=0.02, max_bounces=3)}
+WAYS = {"paths": Accuracy(samples=1024, max_bounces=4), "cuts": Accuracy(target=0.02, max_bounces=3)}
+ALLOWED = {"paths": 1e-3, "cuts": 0.02}
+"""Change for a hair: it may decide of an element or two whether they are cut."""
 HAIRS = (0.0, 1e-9, -1e-9, 1e-7, -1e-7)
 
 
@@ -26,7 +28,7 @@ def test_a_pixel_that_ends_where_walls_touch_ends_there_exactly(way: str) -> Non
     exact, *others = (light(foot + (1 + hair) * (pixels - foot), way) for hair in HAIRS)
     assert (exact.sum(axis=(0, 2)) > 0).all()
     for other in others:
-        assert np.linalg.norm(other - exact) < 1e-3 * np.linalg.norm(exact)
+        assert np.linalg.norm(other - exact) < ALLOWED[way] * np.linalg.norm(exact)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -37,4 +39,4 @@ def test_a_pixel_in_the_corner_of_three_walls(half_side_m: float, way: str) -> N
     exact, *others = (light(square_pixels(corner + (h - half_side_m) * aside, half_side_m), way) for h in HAIRS[:3])
     assert exact.any()
     for other in others:
-        assert np.linalg.norm(other - exact) < 1e-3 * np.linalg.norm(exact)
+        assert np.linalg.norm(other - exact) < ALLOWED[way] * np.linalg.norm(exact)

@@ -22,8 +22,8 @@ from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.records import Transient
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.paths import AT_ONCE, path_light, sample_paths
-from datagen.transport.reference import pairs_of, reference
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import pairs_of, reference
 from datagen.units import time_from_path
 
 RUNS, LEVEL = 16, 1e-4

@@ -12,7 +12,7 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, s
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 APERTURE_M2 = np.pi * 0.02**2
-BY_ELEMENTS = Accuracy(target=0.005, max_bounces=3)
+BY_CUTS = Accuracy(target=0.005, max_bounces=3)
 
 
 def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
@@ -22,7 +22,7 @@ def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
     )
 
 
-@pytest.mark.parametrize("accuracy", [Accuracy(samples=256, max_bounces=3), BY_ELEMENTS], ids=["paths", "elements"])
+@pytest.mark.parametrize("accuracy", [Accuracy(samples=256, max_bounces=3), BY_CUTS], ids=["paths", "cuts"])
 @pytest.mark.parametrize("origin", ["wall", "source"])
 def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy) -> None:
     """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
@@ -47,7 +47,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy)
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
 
 
-@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_ELEMENTS], ids=["paths", "elements"])
+@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_CUTS], ids=["paths", "cuts"])
 @pytest.mark.parametrize("side", [5, pytest.param(16, marks=pytest.mark.nightly)])
 def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy) -> None:
     """An unoccluded plate, confocal points, 300 bins of 3 mm: relative L1 under 1 % (docs/physics.md)."""
@@ -63,13 +63,13 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - points, axis=1) ** 3
     truth *= 0.8**2 * 0.6 / np.pi**3 * APERTURE_M2 * omega[:, None]
     result = simulate(scene, capture, accuracy, seed=5, split_parts=False)
-    assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < (0.01 if accuracy is BY_ELEMENTS else 0.025)
-    if accuracy is BY_ELEMENTS:
+    assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < (0.01 if accuracy is BY_CUTS else 0.025)
+    if accuracy is BY_CUTS:
         assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
-    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_ELEMENTS else 1e-3)
+    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_CUTS else 1e-3)
 
 
-@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_ELEMENTS], ids=["paths", "elements"])
+@pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_CUTS], ids=["paths", "cuts"])
 def test_an_occluder_casts_an_exact_shadow(accuracy: Accuracy) -> None:
     """A screen halfway hides part of a plate from the laser point and part from the field of view: compared with a
     brute-force integral."""

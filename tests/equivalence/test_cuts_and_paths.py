@@ -1,8 +1,8 @@
-"""The primary by quadrature and by plain paths, two ways that share only the BRDFs: the light is the same for
-pixels, walls, windows and apertures that `test_all_ways.py`, which has all BRDFs, shapes and scans, has not.
+"""Cuts and sampled paths, two ways that share only the BRDFs and the rays, bring the same primary for pixels, walls,
+windows and apertures that `test_all_ways.py`, which has all BRDFs, shapes and scans, has not.
 
-The mean of plain paths over `RUNS` seeds is compared by Student's t at 10⁻³ over all numbers, with the error asked
-of quadrature allowed on top: energy of every part, of every laser point and pixel, and by coarse bins of time.
+Means over `RUNS` seeds of both are compared by Student's t at `LEVEL` over all numbers: energy of every part, of
+every laser point and pixel, and by coarse bins of time.
 """
 
 from __future__ import annotations
@@ -20,45 +20,38 @@ from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, s
 from datagen.records import Transient
 
 RUNS, LEVEL = 8, 1e-3
-ASKED = 0.01
 DEVICE = (1.5, 0.1, 1.3)
 TIME = bins_of_path(160, 0.1, 0.0)
 COARSE = 8
-"""Number of bins added up into one: plain paths may divide a path between neighbouring bins."""
+"""Number of bins added up into one."""
+FAINT = 0.01
+"""Numbers below this fraction of the largest of their kind are not compared: few paths find them."""
 
 
-def numbers(found: Transient) -> NDArray[np.float64]:
-    """Energies by part followed by the overflow, by laser point and pixel, and by coarse bins of time."""
+def numbers(found: Transient) -> list[NDArray[np.float64]]:
+    """Energies by part, by laser point and pixel, and by coarse bins of time followed by the overflow."""
     kept = len(found.time.centers_s) // COARSE * COARSE
     by_time = found.total[..., :kept].sum(axis=(0, 1)).reshape(-1, COARSE).sum(axis=1)
-    parts = [values.sum() for values in found.parts.values()]
-    each = found.total.sum(axis=2) + found.overflow
-    return np.concatenate([parts, [found.overflow.sum()], each.ravel(), by_time])
+    parts = np.array([values.sum() for values in found.parts.values()])
+    return [parts, (found.total.sum(axis=2) + found.overflow).ravel(), np.append(by_time, found.overflow.sum())]
 
 
-PATHS = Accuracy(samples=4096)
-
-
-def same_light(
-    scene: Scene, capture: Capture, paths: Accuracy = PATHS, faint: float = 0.1, seeds: int = 1
-) -> Transient:  # fmt: skip
-    """Compare quadrature with plain paths. faint : numbers below this fraction of the largest may be off by that
-    fraction. seeds : runs of quadrature whose mean is compared, where single numbers are random."""
-    asked = Accuracy(target=ASKED, part_target=ASKED)
-    cells, *others = [simulate(scene, capture, asked, seed=seed) for seed in range(1, seeds + 1)]
-    assert cells.samplers["primary"] == "quadrature"
-    runs = np.array([numbers(simulate(scene, capture, paths, seed=s)) for s in range(RUNS)])
-    ours = np.mean([numbers(run) for run in (cells, *others)], axis=0)
-    off = np.abs(ours - runs.mean(axis=0))
-    # Quadrature may be off by the error asked, and in the middle of steep flanks by that of neighbouring bins.
-    own = ASKED * np.maximum(ours, faint * ours.max())
-    allowed = stats.t.isf(LEVEL / 2 / len(ours), RUNS - 1) * stats.sem(runs, axis=0) + own
-    assert ours.max() > 0
-    assert (off <= allowed).all(), np.column_stack([ours, runs.mean(axis=0), allowed])[off > allowed]
-    # The comparison means something only where the light of plain paths is known well.
-    whole = runs[:, : len(scene.part_names) + 1].sum(axis=1)
+def same_light(scene: Scene, capture: Capture) -> None:
+    cuts = [simulate(scene, capture, Accuracy(target=0.02, part_target=0.05), seed=s) for s in range(1, 1 + RUNS)]
+    assert {run.samplers["primary"] for run in cuts} == {"cuts"}
+    paths = [simulate(scene, capture, Accuracy(samples=4096), seed=s) for s in range(RUNS)]
+    ours, theirs = (
+        [np.array(kind) for kind in zip(*(numbers(run) for run in runs), strict=True)] for runs in (cuts, paths)
+    )
+    many = sum(of.shape[1] for of in ours)
+    for one, other in zip(ours, theirs, strict=True):
+        a, b = one.mean(axis=0), other.mean(axis=0)
+        noise, bright = np.hypot(stats.sem(one), stats.sem(other)), np.maximum(a, b) > FAINT * b.max()
+        allowed = stats.t.isf(LEVEL / 2 / many, RUNS - 1) * noise + 1e-12 * b.max()
+        assert (np.abs(a - b) <= allowed)[bright].all(), np.column_stack([a, b, noise])[bright]
+    # The comparison means something only where the light of paths is known well.
+    whole = theirs[0].sum(axis=1)
     assert stats.sem(whole) < 0.02 * whole.mean()
-    return cells
 
 
 def several(pairing: str, half_side_m: float = 0.05, origin: str = "wall") -> Capture:
