@@ -74,7 +74,7 @@ BARS = trimesh.util.concatenate(
 PLATE = rectangle((0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0.5))
 BOX = trimesh.creation.box(bounds=[(-0.1, -0.9, -0.3), (0.3, -0.3, 0.3)])
 CASES = {
-    "a ball behind bars": (of_objects(ball=ball(0.3, 1.2, 0.2, 0.1), bars=BARS, behind=BEHIND), looking_at(0, 0.3, 0)),
+    "a ball behind bars": (of_objects(ball=ball(0.3, 1.2, 0.2, 0.1), bars=BARS, back=BEHIND), looking_at(0, 0.3, 0)),
     # The screen and the wall beyond it have other surfaces in sight, half a metre of path apart.
     "a pixel at an edge": (
         of_objects(screen=SCREEN, behind=BEHIND, ball=ball(0.2, 0.3, 1.1, 0.0)), looking_at(0, -0.1, 0.1, half_m=0.3),
