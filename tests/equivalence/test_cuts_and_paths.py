@@ -1,5 +1,5 @@
-"""The primary by cuts and by sampled paths, two ways that share only the BRDFs and the rays: the light is the same for
-pixels, walls, windows and apertures that `test_all_ways.py`, which has all BRDFs, shapes and scans, has not.
+"""Cuts and sampled paths, two ways that share only the BRDFs and the rays, bring the same primary for pixels, walls,
+windows and apertures that `test_all_ways.py`, which has all BRDFs, shapes and scans, has not.
 
 Means over `RUNS` seeds of both are compared by Student's t at `LEVEL` over all numbers: energy of every part, of
 every laser point and pixel, and by coarse bins of time.

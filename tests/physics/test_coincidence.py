@@ -14,10 +14,10 @@ import datagen as dg
 from datagen.errors import InputWarning
 from datagen.records import Role
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.paths import sample_paths
-from datagen.transport.reference import pairs_of, reference
 from datagen.transport.coincidence import LIFT, set_apart, shared_planes
+from datagen.transport.paths import sample_paths
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import pairs_of, reference
 from tests.rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 
 SIDEWAYS = one_point_capture((0, -0.5, 0.6), (0, 0.5, 0.6), device=(3, 0, 1.5))

@@ -14,8 +14,8 @@ import trimesh
 
 import datagen as dg
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.reference import brdf
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import brdf
 from tests.rooms import bins_of_path, rectangle, square_pixels
 
 MESHES = Path(__file__).parents[3] / "shared" / "meshes"

@@ -12,9 +12,9 @@ import datagen as dg
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import as_scan
 from datagen.transport.paths import sample_paths
+from datagen.transport.rays import Raycaster
 from datagen.transport.reference import pairs_of
 from datagen.transport.simulate import transient_of
-from datagen.transport.rays import Raycaster
 from datagen.units import time_from_path
 
 CONFIG = Path(__file__).parents[2] / "configs" / "zone_sensor.yaml"

@@ -12,8 +12,8 @@ from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.paths import sample_paths
-from datagen.transport.reference import pairs_of, reference
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import pairs_of, reference
 
 APERTURE_M2 = np.pi * 0.02**2
 
