@@ -32,7 +32,7 @@ from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
 
-AIM = 0.9
+AIM = 0.95
 """Error that a run aims at, relative to the one asked."""
 COARSER = 10.0
 """δ of the pilot, in units of that with which all elements together would err by their light."""
@@ -42,8 +42,9 @@ FIRST = 16
 """Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-UNSEEN = 1.1
-"""Error over that by which replicates differ, as measured: shapes that are alike in all of them."""
+SCATTER, SHARED = 0.75, 0.5
+"""Squared errors over that by which two replicates differ, as measured: of what averages out over runs, and of shapes
+that are alike in all of them."""
 DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
@@ -209,14 +210,16 @@ class _Found:
     """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and
     the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
 
-    light : (K, H, T), outside : (K, H), square : (G, H), whole : (H,) weighted sums of those of `Run`. precision :
-    (G,). spread : (G,) sum of squared differences, and times : (G,) sum of δ^(2 FALLS), whose ratio is a².
+    light : (K, H, T), outside : (K, H), square : (G, H) weighted sums of those of `Run`; alike : (G, H) of the
+    roots of squares. precision : (G,). spread : (G,) sum of squared differences, and expected : (G,) of δ^(2 FALLS),
+    whose ratio is a².
     """
 
     def __init__(self, cuts: Cuts, bins: int) -> None:
         K, G, H = len(cuts.groups), cuts.groups.max() + 1, len(cuts.pairs)
         self.cuts, self.light, self.outside = cuts, np.zeros((K, H, bins)), np.zeros((K, H))
-        self.square, self.precision, self.spread, self.expected = np.zeros((G, H)), *np.zeros((3, G))
+        self.square, self.alike = np.zeros((2, G, H))
+        self.precision, self.spread, self.expected = np.zeros((3, G))
         self.common, self.runs, self.samples = 1.0, 0, 0.0
 
     def add(self, run: Run, delta: Floats) -> None:
@@ -227,6 +230,7 @@ class _Found:
             self.light[k] += run.light[k]
         self.outside += weight[self.cuts.groups][:, None] * run.outside
         self.square += weight[:, None] ** 2 * run.square
+        self.alike += weight[:, None] * np.sqrt(run.square)
         self.precision += weight
         self.spread += run.square.sum(axis=1)
         self.expected += np.nan_to_num(delta ** (2 * FALLS))
@@ -242,7 +246,8 @@ class _Found:
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
         cuts, light = self.cuts, self.mean
-        each = UNSEEN**2 * self.square / np.maximum(self.precision, LEAST_LIGHT)[:, None] ** 2
+        whole = np.maximum(self.precision, LEAST_LIGHT)[:, None]
+        each = SCATTER * self.square / whole**2 + SHARED * np.square(self.alike / whole)
         of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
@@ -281,13 +286,16 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     each = np.square(light.sum(axis=0)).sum(axis=1)
     histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
+    claimed = SCATTER / times + SHARED
     for turn in range(RUNS):
-        wanted = _precision(problem, cuts, squares, light, target, more) - found.precision
+        # The precision of each of so many runs.
+        there = found.precision / times
+        wanted = _precision(problem, cuts, claimed * squares, light, target, more) - there
         if turn == 0:
             # Coarser elements than the pilot's may err by more than is known from it.
             known = delta ** (-2 * FALLS)
             wanted = np.maximum(wanted, known * np.minimum(wanted / known, 1.0) ** FALLS)
-        wanted = np.where(wanted > ENOUGH * found.precision, wanted, 0.0)
+        wanted = np.where(wanted > ENOUGH * there, wanted, 0.0)
         if not wanted.any():
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out.
