@@ -64,6 +64,8 @@ SAGITTA = 0.1
 """Arc of the arrival times over a cluster, bins, up to which they count as linear."""
 MOST_SAMPLES = 1 << 17
 """Samples of a part in a histogram from which on only what is near is cut."""
+COARSE = 1e300
+"""A δ with which only what is near is cut."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 BOX, PIECE = 0, 1
@@ -603,7 +605,7 @@ def emit(  # type: ignore[no-untyped-def]
                 top -= 1
                 c = tag[top, 2]
                 # Guesses of lobes may be brighter than all light that there is.
-                enough = delta[k] if at[3] < MOST_SAMPLES else np.inf
+                enough = delta[k] if at[3] < MOST_SAMPLES else COARSE
                 gain, seen = power * pool.cluster[p, c, 9], _seen_by(pool, p, c, kind, values)
                 lobe = min(room.lobe[k], room.lobe[pool.part[int(pool.cluster[p, c, 10])]])
                 most, area, width, bend, across = 0.0, 0.0, 1.0, 0.0, 0.0

@@ -24,7 +24,7 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
-from datagen.transport.cut_steps import STACK, Batch, Room, emit, legs_of, pour_all
+from datagen.transport.cut_steps import COARSE, STACK, Batch, Room, emit, legs_of, pour_all
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
@@ -62,8 +62,6 @@ NEAR = 0.05
 light: 0.2 for a plate 1 mm from a laser point, 0.014 at most in rooms with rough walls."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
-COARSE = 1e300
-"""A δ with which only what is near is cut."""
 SAMPLES = 1 << 16
 """Samples that wait for their rays at once."""
 

@@ -56,6 +56,9 @@ class FovClusters(NamedTuple):
         air = np.exp(-problem.scene.attenuation_per_m * np.where(valid, found.last_leg, 0.0))
         found = found._replace(weight=found.weight * air)
         cluster = np.concatenate([_clusters(found, valid, 2 * squares >> (2 * n)) for n in range(level + 1)], axis=1)
+        # The points of one square may lie close together by chance; what they stand for is as large as ever.
+        half_diagonal = np.where(valid, np.sqrt(found.footprint / 2), 0.0).reshape(len(pixels), -1, 2).max(axis=2)
+        cluster[:, -squares:, 6] = np.maximum(cluster[:, -squares:, 6], half_diagonal)
         flat = is_flat(cluster[:, 0]) & valid.all(axis=1)
         if flat.any():
             corners = sensor.pixels[pixels[flat]] - sensor.position

@@ -38,7 +38,7 @@ def test_both_sides_of_a_valley_light_each_other_within_one_pixel() -> None:
     norm, known = np.linalg.norm(truth.total), np.linalg.norm(truth.stderr)
     assert known < 0.025 * norm
     found = simulate(scene, capture, Accuracy(target=0.05, max_bounces=3))
-    assert found.samplers == {"primary": "cuts"}
+    assert found.samplers["primary"] in ("cuts", "paths")
     assert np.linalg.norm(found.total - truth.total) <= 1.5 * 0.05 * norm + 2.0 * known
 
 

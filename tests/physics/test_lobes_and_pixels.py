@@ -30,7 +30,10 @@ def test_lobes_narrower_than_pixels_keep_their_claim(scene: int, part: str) -> N
     foreign = foreign_scene(scene)
     run = simulate(foreign.scene, foreign.capture, Accuracy(target=0.02, max_bounces=3), seed=1)
     found = truth_of(foreign, 4 * SAMPLES).check(run.parts[part], part)
-    assert found.error < max(2.0 * run.part_errors[part], 0.03)
+    # Nothing is claimed of an object with next to no light.
+    faint = np.linalg.norm(run.parts[part]) < 1e-4 * np.linalg.norm(run.total)
+    assert faint == (part not in run.part_errors)
+    assert found.error < (0.5 if faint else max(2.0 * run.part_errors[part], 0.03))
 
 
 def test_how_finely_to_cut_is_measured_by_the_light_there_is() -> None:
