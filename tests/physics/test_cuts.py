@@ -77,13 +77,13 @@ PLATE = rectangle((0.3, 0.3, 0), (0.3, 0, 0), (0, 0, 0.5))
 BOX = trimesh.creation.box(bounds=[(-0.1, -0.9, -0.3), (0.3, -0.3, 0.3)])
 CASES = {
     "a ball behind bars": (of_objects(ball=ball(0.3, 1.2, 0.2, 0.1), bars=BARS, back=BEHIND), looking_at(0, 0.3, 0)),
-    # The screen and the wall beyond it have other surfaces in sight, half a metre of path apart.
     "a pixel at an edge": (
         of_objects(screen=SCREEN, behind=BEHIND, ball=ball(0.2, 0.3, 1.1, 0.0)), looking_at(0, -0.1, 0.1, half_m=0.3),
     ),
     "a pixel over the end of the wall": (of_objects(behind=BEHIND), looking_at(0, 1.95, 0.1, half_m=0.2)),
     # A laser point 1 mm from a plate that stands within the pixel: legs of a millimetre have much of the light.
     "a plate that touches": (of_objects(plate=PLATE), looking_at(0, 0.25, 0.0, laser=(0, 0.299, 0.0))),
+    "a pixel on both sides of a plate": (of_objects(plate=PLATE), looking_at(0, 0.34, 0)),
     "a laser point in a closed box": (of_objects(box=BOX, behind=BEHIND), looking_at(0, -0.5, 0.1)),
 }  # fmt: skip
 

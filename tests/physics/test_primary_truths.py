@@ -42,7 +42,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy)
     omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
     patch = 0.8 / np.pi * cos1 * cos2 / r12**2 * side**2
     expected = patch * 0.6 / np.pi * cos2_out * cos3 / r23**2 * 0.8 / np.pi * APERTURE_M2 * omega
-    assert result.total.sum() == pytest.approx(expected, rel=1e-5)
+    assert result.total.sum() == pytest.approx(expected, rel=1e-4, abs=0)
     mean_time = (result.total[0, 0] * capture.time.centers_s).sum() / result.total.sum()
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
 
@@ -66,7 +66,7 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
     assert np.abs(result.total[:, 0] - truth).sum() / truth.sum() < (0.01 if accuracy is BY_CUTS else 0.025)
     if accuracy is BY_CUTS:
         assert np.linalg.norm(result.total[:, 0] - truth) < 0.008 * np.linalg.norm(truth)
-    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_CUTS else 1e-3)
+    assert result.total.sum() == pytest.approx(truth.sum(), rel=1e-4 if accuracy is BY_CUTS else 1e-3, abs=0)
 
 
 @pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_CUTS], ids=["paths", "cuts"])
@@ -101,4 +101,4 @@ def test_an_occluder_casts_an_exact_shadow(accuracy: Accuracy) -> None:
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - x3) ** 3
     truth = 0.9 * 0.7 * 0.9 / np.pi**3 * kernel.sum() * APERTURE_M2 * omega
     assert 0.3 < (clear(x1) & clear(x3)).mean() < 0.9
-    assert result.total.sum() + result.overflow.sum() == pytest.approx(truth, rel=2e-3)
+    assert result.total.sum() + result.overflow.sum() == pytest.approx(truth, rel=0.01, abs=0)
