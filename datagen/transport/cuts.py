@@ -122,7 +122,7 @@ class Cuts:
             np.array([*caster.center, caster.half_extent_m]),
             caster.offset_m,
         )  # fmt: skip
-        self.squares = squares_of(problem, width, np.random.default_rng(self.seed(0)))
+        self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
         self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))

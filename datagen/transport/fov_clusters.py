@@ -83,10 +83,10 @@ def is_flat(cluster: Floats) -> Bools:
     return np.asarray((cluster[..., 7] < FLAT) & (cluster[..., 8] < FLAT))
 
 
-def squares_of(problem: Problem, lobe: Floats, rng: np.random.Generator) -> Ints:
+def squares_of(problem: Problem, lobe: Floats, bin_m: float, rng: np.random.Generator) -> Ints:
     """(P,) number of squares that each pixel is divided into, as a few FoV points decide that are not used again.
 
-    lobe : (K,) half width of the narrowest lobe of each part, rad.
+    lobe : (K,) half width of the narrowest lobe of each part, rad. bin_m : path of a bin, metres.
     """
     pixels = np.arange(len(problem.capture.sensor.pixels))
     root = np.concatenate(
@@ -95,7 +95,9 @@ def squares_of(problem: Problem, lobe: Floats, rng: np.random.Generator) -> Ints
             for some in np.array_split(pixels, 1 + len(pixels) // 4096)
         ]
     )
-    return np.where(is_flat(root) & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
+    # Seen from as far as it is wide, a square has times that are linear over it, within a tenth of a bin.
+    is_small = 1.25 * root[:, 6] < SQUARES[0] * bin_m
+    return np.where(is_flat(root) & is_small & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
 
 
 def _in_morton_order(level: int) -> Floats:
