@@ -32,19 +32,6 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
 
 
 @compiled()
-def spread(
-    histogram: Floats, row: int, a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
-) -> float:
-    """Energy outside the bins, after `energy` was added to a row of bins as it arrives from a triangle.
-
-    histogram : (rows, T) bin i spans times i … i + 1.
-    a, b, c : arrival times at the vertices, in bins; linear in between.
-    at_a, at_b, at_c : weights ≥ 0 there, in any unit; linear in between.
-    """
-    return pour(histogram, row, tent(a, b, c, at_a, at_b, at_c, energy), energy)
-
-
-@compiled()
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:

@@ -79,13 +79,12 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 class Room(NamedTuple):
     """What all pairs share.
 
-    kind, values : of the materials. peak, lobe : (K,) largest BRDF of each part, 1/sr,
-    and half width of its narrowest lobe, rad. outer : (K,) 1 for closed meshes
-    whose normals point outward, −1 inward, 0 for other meshes. lasers, power : laser points, and the share of light
-    that air lets through to them. per_metre, start, bins : bins of a metre of path, number of the
-    first bin, and of all bins. device : whether the legs to laser and sensor count. air : attenuation, 1/m. plane :
-    distance within which a point lies on a plane, m. smallest : side of the smallest piece that is cut, m. frame,
-    offset : of embree, and by how much rays begin off their surfaces, m.
+    kind, values : of the materials. peak, lobe : (K,) largest BRDF of each part, 1/sr, and half width of its
+    narrowest lobe, rad. outer : (K,) 1 for closed meshes whose normals point outward, −1 inward, 0 for other meshes.
+    lasers, power : laser points, and the share of light that air lets through to them. per_metre, start, bins : bins
+    of a metre of path, number of the first bin, and of all bins. device : whether the legs to laser and sensor count.
+    air : attenuation, 1/m. plane : distance within which a point lies on a plane, m. smallest : side of the smallest
+    piece that is cut, m. frame, offset : of embree, and by how much rays begin off their surfaces, m.
     """
 
     kind: Ints | NDArray[np.uint8]
@@ -109,10 +108,9 @@ class Room(NamedTuple):
 class Batch(NamedTuple):
     """Samples that wait for their rays.
 
-    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram.
-    first, last : (n,) span of the
-    sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners of a triangle, bins; and
-    `at`, (…, 3) weights there. grid : scratch.
+    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. first,
+    last : (n,) span of the sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners
+    of a triangle, bins; and `at`, (…, 3) weights there. grid : scratch.
     """
 
     ends: NDArray[np.float32]
@@ -414,9 +412,9 @@ def _spread(  # type: ignore[no-untyped-def]
     """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
     guessed light; returns the next free row.
 
-    corners : (3, 3) and (3,) corners and weights there. is_even : whether weights are linear in between. n :
-    normal. z : FoV point. path : that all have in common, metres. one, two : change of the
-    path along the sides of the cluster, bins. per : bins of a metre.
+    corners : (3, 3) and (3,) corners and weights there. is_even : whether weights are linear in between. n : normal.
+    z : FoV point. path : that all have in common, metres. one, two : change of the path along the sides of the
+    cluster, bins. per : bins of a metre.
     """
     (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
     # Times and weights at the corners of the parts: place i, j lies i/parts and j/parts of the way to two corners.
@@ -425,10 +423,7 @@ def _spread(  # type: ignore[no-untyped-def]
         for j in range(parts + 1 - i):
             s1, s2 = i / parts, j / parts
             s0 = 1.0 - s1 - s2
-            y = (
-                s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
-                s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
-            )  # fmt: skip
+            y = _between(y0, y1, y2, s0, s1, s2)
             linear = s0 * w0 + s1 * w1 + s2 * w2
             at[i, j] = linear
             if not is_even and max(i, j, parts - i - j) < parts:
@@ -510,6 +505,15 @@ def _join(  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
+def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
+    """The point of a triangle with some barycentric coordinates."""
+    return (
+        s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
+        s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
+    )  # fmt: skip
+
+
+@compiled(forceinline=True)
 def _fraction(u):  # type: ignore[no-untyped-def]
     """The part of u ≥ 0 after the point."""
     return u - math.floor(u)
@@ -522,8 +526,7 @@ def _sample(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
 
-    judged : what `_judged` has found of a piece. numbers : (3,) random numbers for the hidden and
-    the FoV point.
+    judged : what `_judged` has found of a piece. numbers : (3,) random numbers for the hidden and the FoV point.
     """
     (most, area, width, bend, across), f = judged, tag[top, 1]
     if tag[top, 0] == BOX:
@@ -537,10 +540,7 @@ def _sample(  # type: ignore[no-untyped-def]
         least = LEAST * most if most > 0.0 else 1.0
         w0, w1, w2 = max(piece[top, 9], least), max(piece[top, 10], least), max(piece[top, 11], least)
     n, (s0, s1, s2) = get(tree.normal, f, 0), _barycentric(numbers[0], numbers[1], w0, w1, w2)
-    y = (
-        s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
-        s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
-    )  # fmt: skip
+    y = _between(y0, y1, y2, s0, s1, s2)
     if tag[top, 0] == BOX:
         # All of a small box's light arrives at one time.
         y0 = y1 = y2 = y
@@ -640,8 +640,7 @@ def emit(  # type: ignore[no-untyped-def]
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
                 rows = _sample(
                     tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, lobe,
-                    numbers, replicate, pool, p,
-                    room, leg, power, state, expected, batch, used, poured,
+                    numbers, replicate, pool, p, room, leg, power, state, expected, batch, used, poured,
                 )  # fmt: skip
                 if rows > 0:
                     row = slot[k] * len(pairs) + pair

@@ -3,9 +3,10 @@
 The light of a laser point x and a pixel is the integral over hidden points y and FoV points z. The FoV points of a
 pixel are drawn anew in each run and form a tree of clusters. Surfaces, as boxes of triangles and pieces of triangles,
 and clusters are cut until every element, a pair of both, is expected to bring at most δ photons. Nothing is left out
-but what no FoV point of the cluster can see. From each element come two samples, one for each of two replicates: a
-point y drawn by its guessed light, and a few FoV points z; two shadow rays decide. A piece of a triangle spreads its
-light over the arrival times of its corners by way of z. Guesses steer the effort; the mean does not depend on them.
+but what no FoV point of the cluster can see. Each element gives one sample: a point y drawn by its guessed light, and
+a FoV point z; two shadow rays decide. A piece of a triangle spreads its light over the arrival times of its parts.
+Guesses steer the effort; the mean does not depend on them. Each of the two replicates of a run has elements of its
+own, because errors of those that are shared cannot be seen.
 
 The idea of a cut through a tree of surfaces is that of lightcuts (Walter et al., SIGGRAPH 2005), with a random point
 in place of a representative one (stochastic lightcuts: Yuksel, HPG 2019), here for pairs of trees.
@@ -237,15 +238,20 @@ class _Found:
         self.runs, self.samples = self.runs + 1, self.samples + float(run.samples.sum())
 
     @property
+    def total_weight(self) -> Floats:
+        """(G,) precision, above 0 for groups that were never run, too."""
+        return np.asarray(np.maximum(self.precision, LEAST_LIGHT))
+
+    @property
     def mean(self) -> Floats:
         """(K, H, T) light by part."""
-        return np.asarray(self.light / np.maximum(self.precision, LEAST_LIGHT)[self.cuts.groups][:, None, None])
+        return np.asarray(self.light / self.total_weight[self.cuts.groups][:, None, None])
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
         cuts, light = self.cuts, self.mean
-        whole = np.maximum(self.precision, LEAST_LIGHT)[:, None]
-        each = SCATTER * self.square / whole**2 + SHARED * np.square(self.alike / whole)
+        weight = self.total_weight[:, None]
+        each = SCATTER * self.square / weight**2 + SHARED * np.square(self.alike / weight)
         of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
@@ -255,7 +261,7 @@ class _Found:
             own = l2_norm(light[k])
             if scene.roles[k] == "object" and own > max(FAINT * whole, cuts.problem.accuracy.faint_part):
                 errors[name] = math.sqrt(each[cuts.groups[k]].sum()) / own
-        outside = (self.outside / np.maximum(self.precision, LEAST_LIGHT)[cuts.groups][:, None]).sum(axis=0)
+        outside = (self.outside / weight[cuts.groups]).sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
             rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
@@ -298,8 +304,8 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out.
         finer = np.maximum(np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS), delta / FINEST)
+        some = np.where(wanted > 0, finer, np.nan)
         for _ in range(times):
-            some = np.where(wanted > 0, finer, np.nan)
             found.add(cuts.run(every, some, 2 + found.runs), some)
         delta = np.where(wanted > 0, finer, delta)
         light, more, squares = found.mean, 1.0, found.spread / np.maximum(found.expected, 1e-300)
@@ -311,7 +317,8 @@ def _asked(problem: Problem, cuts: Cuts, few: Ints, target: float) -> Floats:
 
     Light outside the window counts a little, so that a window without light takes no time.
     """
-    first, G = cuts.run(few, np.full(cuts.groups.max() + 1, COARSE), 0), cuts.groups.max() + 1
+    G = cuts.groups.max() + 1
+    first = cuts.run(few, np.full(G, COARSE), 0)
     outside = OUTSIDE * l2_norm(first.outside.sum(axis=0))
     whole = max(math.sqrt(_without_noise(first.light.sum(axis=0), first.whole)), outside, LEAST_LIGHT)
     asked = np.full(G, target * whole)

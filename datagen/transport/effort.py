@@ -217,9 +217,9 @@ class _Unit:
         each = self.light[..., 1:-1]
         mean, error2, variance = estimated(each, self.source.can_blur)
         energy = each.sum(axis=(1, 2), dtype=np.float64)
+        self.is_rough = energy.std(ddof=1) >= ROUGH * math.sqrt(REPLICATES) * energy.mean()
         # Counted twice: with one degree of freedom an error exceeds 1.5 of its root mean squares in 13 % of cases,
         # with this in 3 %.
-        self.is_rough = energy.mean() == 0 or energy.std(ddof=1) > ROUGH * math.sqrt(REPLICATES) * energy.mean()
         if energy.mean() > 0:
             error2 += energy.var(ddof=1) / REPLICATES * float(np.sum(mean**2)) / energy.mean() ** 2
         spread = float(variance.sum())

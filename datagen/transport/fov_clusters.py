@@ -14,7 +14,7 @@ from datagen.transport.problem import Problem
 SQUARES = (16, 256)
 """Squares of a pixel with a FoV point each, powers of 4: of flat pixels where no lobe is narrow, and of others."""
 NARROW = 0.2
-"""Half width of a lobe, rad, from which on flat pixels have as many squares as all others."""
+"""Half width of a lobe, rad, below which flat pixels have as many squares as all others."""
 FLAT = 1e-6
 """Sine of the angle between normals, and thickness in metres, up to which points lie on one flat surface."""
 

@@ -37,19 +37,6 @@ def transmittance(attenuation, path):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def unit(n):  # type: ignore[no-untyped-def]
-    """The unit vector along n."""
-    length = np.sqrt(dot(n, n))
-    return (n[0] / length, n[1] / length, n[2] / length)
-
-
-@compiled()
-def half(a, b):  # type: ignore[no-untyped-def]
-    """The midpoint of two points."""
-    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
-
-
-@compiled()
 def get(rows, k, j):  # type: ignore[no-untyped-def]
     """The vector in columns j, j + 1 and j + 2 of row k."""
     return (rows[k, j], rows[k, j + 1], rows[k, j + 2])

@@ -166,10 +166,10 @@ def _to_target(problem: Problem) -> Estimate:
     assert accuracy.target is not None
     others = [name for name in components if name != "primary"]
     shape = problem.capture.shape
-    if "primary" not in components:
-        return _joined(problem, None, _sampled(problem, others, np.zeros(shape), 0.0))
-    # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
-    primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / (1 + len(others))))
+    primary = None
+    if "primary" in components:
+        # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
+        primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)))
     if primary is None:
         return _joined(problem, None, _sampled(problem, components, np.zeros(shape), 0.0))
     whole = primary.light.sum(axis=0)
