@@ -19,14 +19,14 @@ from datagen.transport.brdf.retroreflector import concentration
 class Kind:
     """A kind of BRDF as tests see it.
 
-    laws : over all that its parameters may be; each is held to every law of a BRDF, and fuzzed.
-    broad : by name, with lobes so wide that uniform directions meet them; light by each way is compared with its
-        definition on them.
+    laws : materials over the whole range of the parameters, each held to every law of a BRDF, and fuzzed.
+    broad : materials by name, with lobes so wide that uniform directions meet them; on these, light by every way is
+        compared with its definition.
     highest : a bound of f cosθ_out of a material, 1/sr and over its albedo, at any pair of directions.
     read : a material of albedo 0.6, and the keys of a configuration that give it.
     keys : every such key, with a range of values that are allowed.
     matt : materials that are Lambert's law.
-    axis : direction that the lobe is about; light that has no lobe is laid out about the normal.
+    axis : direction about which `lobe_sphere.py` lays out its cells: that of the lobe, or the normal.
     """
 
     laws: tuple[Material, ...]
