@@ -127,6 +127,19 @@ def test_a_page_names_all_that_can_be_chosen(page: str, names: set[str]) -> None
     assert {name for name in names if f"`{name}`" not in TEXTS[ROOT / f"docs/{page}.md"]} == set()
 
 
+def test_contributing_names_what_its_files_have() -> None:
+    """In the table of what is new, each class or table in capitals is in one of the row's files."""
+    rows = re.findall(r"^  \| .* \|$", TEXTS[ROOT / "CONTRIBUTING.md"].split("**Libraries first.**")[0], re.MULTILINE)
+    assert len(rows) > 8
+    for row in rows:
+        names = re.findall(r"`([\w./]+)`", row)
+        files = [folder / name for name in names for folder in FOLDERS if (folder / name).is_file()]
+        files += [path for name in names for path in (ROOT / "datagen").glob(f"**/{name}") if "/" not in name]
+        text = "\n".join(path.read_text(encoding="utf-8") for path in files)
+        capital = [name for name in names if re.fullmatch(r"[A-Z]\w+", name)]
+        assert [name for name in capital if not re.search(rf"\b{name}\b", text)] == [], row
+
+
 def undocumented(tree: ast.Module | ast.ClassDef, where: str) -> Iterator[str]:
     """Public functions, classes, methods and properties without a docstring, and modules."""
     if isinstance(tree, ast.Module) and ast.get_docstring(tree) is None:
