@@ -8,6 +8,7 @@ import re
 import runpy
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import click
 import pytest
@@ -15,6 +16,9 @@ import yaml
 
 import datagen
 from datagen.cli import cli
+from datagen.config.device import device_names
+from datagen.config.scene_brdfs import BrdfSettings
+from datagen.config.scene_layouts import AnyLayout
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -107,6 +111,33 @@ def test_commands_and_options_exist(page: Path) -> None:
 def test_generated_pages_are_current(name: str) -> None:
     page = runpy.run_path(str(ROOT / f"docs/make_{name}.py"))["page"]()
     assert page == TEXTS[ROOT / f"docs/{name}.md"], "the sources have changed since: make generated"
+
+
+def kinds(union: object) -> set[str]:
+    """Kinds among which a key of the configuration chooses."""
+    models = get_args(get_args(union)[0])
+    return {model.model_fields["kind"].default for model in models if model.is_offered}
+
+
+@pytest.mark.parametrize(
+    ("page", "names"),
+    [("configuration", kinds(AnyLayout) | kinds(BrdfSettings)), ("devices", set(device_names()))],
+)
+def test_a_page_names_all_that_can_be_chosen(page: str, names: set[str]) -> None:
+    assert {name for name in names if f"`{name}`" not in TEXTS[ROOT / f"docs/{page}.md"]} == set()
+
+
+def test_contributing_names_what_its_files_have() -> None:
+    """In the table of what is new, each class or table in capitals is in one of the row's files."""
+    rows = re.findall(r"^  \| .* \|$", TEXTS[ROOT / "CONTRIBUTING.md"].split("**Libraries first.**")[0], re.MULTILINE)
+    assert len(rows) > 8
+    for row in rows:
+        names = re.findall(r"`([\w./]+)`", row)
+        files = [folder / name for name in names for folder in FOLDERS if (folder / name).is_file()]
+        files += [path for name in names for path in (ROOT / "datagen").glob(f"**/{name}") if "/" not in name]
+        text = "\n".join(path.read_text(encoding="utf-8") for path in files)
+        capital = [name for name in names if re.fullmatch(r"[A-Z]\w+", name)]
+        assert [name for name in capital if not re.search(rf"\b{name}\b", text)] == [], row
 
 
 def undocumented(tree: ast.Module | ast.ClassDef, where: str) -> Iterator[str]:

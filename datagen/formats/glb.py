@@ -7,6 +7,7 @@ which Blender turns to +Z again.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -17,10 +18,12 @@ from numpy.typing import NDArray
 
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
-from datagen.records import GGX, Capture, Phong, Retroreflector, Scene
+from datagen.records import Capture, Scene
 from datagen.records.checks import check_kind
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
+from datagen.transport.brdf import model_of
+from datagen.transport.brdf.ggx import HALF_WIDTH
 from datagen.transport.lines_of_sight import lit_points, seen_points
 from datagen.transport.rays import Raycaster
 
@@ -120,12 +123,5 @@ def _plain(name: str, color: Iterable[float], roughness: float = 1.0) -> Any:
 
 
 def _roughness(material: Material) -> float:
-    match material:
-        case GGX():
-            return float(material.roughness)
-        case Phong():
-            # A lobe cosⁿ is as wide as that of a microfacet surface of roughness α with n = 2 / α⁴ − 2.
-            return float((2.0 / (material.exponent + 2.0)) ** 0.25)
-        case Retroreflector():
-            return 0.2
-    return 1.0
+    # That of facets whose lobe is as wide as the material's; a surface without a lobe is as rough as there is.
+    return min(math.sqrt(model_of(material).lobe_width_rad(material) / HALF_WIDTH), 1.0)

@@ -82,7 +82,8 @@ def _log_uniform(rng: Generator, low: float, high: float) -> float:
 
 
 def _material(rng: Generator) -> Material:
-    """Any BRDF, over its whole allowed range."""
+    """Any of six BRDFs, over its whole allowed range. A seventh would change all scenes, which tests name by number;
+    `every_brdf.py` has every kind."""
     albedo, share = float(rng.uniform(0.1, 1.0)), float(rng.choice([1.0, rng.uniform(0.0, 1.0)]))
     match int(rng.integers(6)):
         case 0:

@@ -26,15 +26,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import trimesh
+from every_brdf import BROAD
 from numpy.typing import NDArray
 from rooms import bins_of_path, rectangle, square_pixels
 from scipy import stats
 
-from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
 from datagen.bench.measuring import machine, markdown, percent
 from datagen.bench.plain_check import Checked, PlainPaths
 from datagen.errors import InputWarning
-from datagen.records import Material, OrenNayar, Retroreflector, SinLobe, Transient
+from datagen.records import Transient
 from datagen.records.arrays import l2_norm
 from datagen.transport.reference import pairs_of, reference
 
@@ -57,20 +58,6 @@ WINDOWS = 6
 
 DEVICE = (0.6, -1.1, 2.0)
 TIME = bins_of_path(66, 0.1, 0.0)
-
-MATERIALS: dict[str, Material] = {
-    "lambertian 0.2": Lambertian(0.2), "lambertian 0.6": Lambertian(0.6), "lambertian 1": Lambertian(1.0),
-    "oren-nayar 0.2": OrenNayar(0.6, sigma_rad=0.2), "oren-nayar 0.5": OrenNayar(0.6, sigma_rad=0.5),
-    "oren-nayar 1.2": OrenNayar(0.6, sigma_rad=1.2),
-    "phong 2": Phong(0.6, exponent=2.0), "phong 10": Phong(0.6, exponent=10.0, specular=0.6),
-    "phong 60": Phong(0.6, exponent=60.0),
-    "ggx 1": GGX(0.6, roughness=1.0), "ggx 0.6": GGX(0.6, roughness=0.6, f0=0.2), "ggx 0.4": GGX(0.6, roughness=0.4),
-    "retroreflector 0.4": Retroreflector(0.6, half_width_rad=0.4),
-    "retroreflector 0.2": Retroreflector(0.6, half_width_rad=0.2, retro=0.5),
-    "retroreflector 0.12": Retroreflector(0.6, half_width_rad=0.12),
-    "sin lobe x": SinLobe(0.6, axis=(1.0, 0.0, 0.0)), "sin lobe z": SinLobe(0.6, axis=(0.0, 0.0, 1.0)),
-    "sin lobe xyz": SinLobe(0.6, axis=(1.0, 1.0, 1.0)),
-}  # fmt: skip
 
 
 def turned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -201,7 +188,7 @@ def scene_of(material: str, shape: str, capture: str = "") -> Scene:
         gap = min(mesh.bounds[0, 0] for mesh in meshes)
         for mesh in meshes:
             mesh.apply_translation((min(0.02 - gap, 0.0), 0, 0))
-    pieces = [Part(f"piece {k}", mesh, MATERIALS[material]) for k, mesh in enumerate(meshes)]
+    pieces = [Part(f"piece {k}", mesh, BROAD[material]) for k, mesh in enumerate(meshes)]
     return replace(Scene.from_parts([wall, floor, *pieces]), attenuation_per_m=0.4 * (capture == "fog"))
 
 
@@ -213,7 +200,7 @@ class Case(NamedTuple):
     capture: str
 
 
-CASES = [
+CHOSEN = (
     Case("lambertian 0.2", "touching", "near"), Case("lambertian 0.6", "stack", "array"),
     Case("lambertian 1", "box", "edges"), Case("oren-nayar 0.2", "plate", "footprints"),
     Case("oren-nayar 0.5", "ball", "from_source"), Case("oren-nayar 1.2", "touching", "exhaustive"),
@@ -222,8 +209,14 @@ CASES = [
     Case("retroreflector 0.4", "plate", "ends_early"), Case("retroreflector 0.2", "touching", "ends_early"),
     Case("retroreflector 0.12", "stack", "confocal"), Case("sin lobe x", "sheet", "flood"),
     Case("sin lobe z", "box", "flood"), Case("sin lobe xyz", "ball", "starts_late"),
-]  # fmt: skip
-"""Each material once; four are cases in which some way once lost light, or had too much."""
+)  # fmt: skip
+"""Four are cases in which some way once lost light, or had too much."""
+OTHERS = [name for name in BROAD if name not in {case.material for case in CHOSEN}]
+CASES = [
+    *CHOSEN,
+    *(Case(name, list(SHAPES)[k % len(SHAPES)], list(CAPTURES)[k % len(CAPTURES)]) for k, name in enumerate(OTHERS)),
+]
+"""Each material once: a new one has a case without being named here."""
 
 
 class Row(NamedTuple):

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.ways import CAPTURES, CASES, DEFINITION, MATERIALS, SHAPES, Case, Row, compared, pooled
+from benchmarks.ways import CAPTURES, CASES, DEFINITION, SHAPES, Case, Row, compared, pooled
+from every_brdf import BROAD
 from scipy import stats
 
 LEVEL = 1e-3
@@ -23,7 +24,7 @@ def by_night() -> list[object]:
     """Each material with each capture, and with each shape twice or more."""
     every = [
         Case(material, list(SHAPES)[(k + j) % len(SHAPES)], capture)
-        for k, material in enumerate(MATERIALS)
+        for k, material in enumerate(BROAD)
         for j, capture in enumerate(CAPTURES)
     ]
     return [pytest.param(case, marks=pytest.mark.nightly) for case in every if case not in CASES]

@@ -29,9 +29,11 @@ from datagen import (
     Retroreflector,
     Scene,
     Sensor,
+    SinLobe,
     simulate,
 )
 from datagen.records import Material
+from datagen.transport.brdf import MODELS
 
 Vectors = NDArray[np.float64]
 Brdf = Callable[[Vectors, Vectors, Vectors], NDArray[np.float64]]
@@ -121,15 +123,39 @@ def printed_retroreflector(albedo: float, half_width: float) -> Brdf:
     return f
 
 
+def printed_lambertian(albedo: float) -> Brdf:
+    return lambda n, w_in, w_out: np.full(len(n), albedo / np.pi)
+
+
+def printed_sin_lobe(albedo: float, axis: tuple[float, float, float]) -> Brdf:
+    """Scholes & Leach (2024), Eq. 5, with the modulus and the same factor at the incidence."""
+
+    def sine(n: Vectors, w: Vectors) -> NDArray[np.float64]:
+        along, across = (v - dots(v, n)[:, None] * n for v in (np.tile(axis, (len(n), 1)), w))
+        cosine = dots(along, across) / np.linalg.norm(along, axis=1) / np.linalg.norm(across, axis=1)
+        return np.sqrt(np.maximum(1 - cosine**2, 0))
+
+    return lambda n, w_in, w_out: albedo / 2 * sine(n, w_in) * sine(n, w_out)
+
+
+PRINTED: list[tuple[Material, Brdf]] = [
+    (Lambertian(0.8), printed_lambertian(0.8)),
+    (SinLobe(0.8, (0.3, 0.1, 1.0)), printed_sin_lobe(0.8, (0.3, 0.1, 1.0))),
+    (Phong(0.8, exponent=60, specular=0.4), printed_phong(0.8, 60, 0.4)),
+    (OrenNayar(0.8, sigma_rad=0.5), printed_oren_nayar(0.8, 0.5)),
+    (GGX(0.9, roughness=0.4), printed_ggx(0.9, 0.4)),
+    (GGX(0.9, roughness=0.8), printed_ggx(0.9, 0.8)),
+    (Retroreflector(0.8, half_width_rad=0.3), printed_retroreflector(0.8, 0.3)),
+]
+
+
+def test_every_brdf_is_compared_with_its_source() -> None:
+    assert {type(material) for material, _ in PRINTED} == {model.record for model in MODELS}
+
+
 @pytest.mark.parametrize(
     ("material", "printed"),
-    [
-        (Phong(0.8, exponent=60, specular=0.4), printed_phong(0.8, 60, 0.4)),
-        (OrenNayar(0.8, sigma_rad=0.5), printed_oren_nayar(0.8, 0.5)),
-        (GGX(0.9, roughness=0.4), printed_ggx(0.9, 0.4)),
-        (GGX(0.9, roughness=0.8), printed_ggx(0.9, 0.8)),
-        (Retroreflector(0.8, half_width_rad=0.3), printed_retroreflector(0.8, 0.3)),
-    ],
+    PRINTED,
     ids=lambda value: str(value) if isinstance(value, Material) else "printed",
 )
 def test_a_brdf_is_what_its_source_prints(material: Material, printed: Brdf) -> None:

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import trimesh
+from every_brdf import kind_of
 from random_light import Case
 
-from datagen import GGX, OrenNayar, Phong, Retroreflector, SinLobe, simulate
-from datagen.records import Material, Scene, Sensor, Transient
-from datagen.transport.brdf.retroreflector import concentration
+from datagen import simulate
+from datagen.records import Scene, Sensor, Transient
 
 ROUNDING = 1e-9
 """Sums of the same numbers in another order may differ by this share."""
@@ -71,28 +71,8 @@ def most_into_aperture(scene: Scene, sensor: Sensor) -> float:
     nearest = trimesh.triangles.closest_point(corners, np.tile(sensor.position, (len(corners), 1)))
     square = float(((nearest - sensor.position) ** 2).sum(axis=1).min()) * (1 - 1e-6)
     square += sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
-    lobe = max(highest_lobe(material) for material in scene.materials)
+    lobe = max(material.albedo * kind_of(material).highest(material) for material in scene.materials)
     return lobe * sensor.aperture_area_m2 / square if square > 1e-30 else math.inf
-
-
-def highest_lobe(material: Material) -> float:
-    """A bound of f cosθ_out, 1/sr, at any pair of directions."""
-    match material:
-        case SinLobe():
-            lobe = 0.5
-        case Phong(exponent=n):
-            lobe = (n + 2) / (2 * math.pi) + 1 / math.pi
-        case OrenNayar():
-            lobe = 4 / math.pi
-        case GGX(roughness=r):
-            # D ≤ 1/(π α²), and with Smith's masking G/(4 cos_in) ≤ 1/(2 α).
-            lobe = 1 / (2 * math.pi * r**6) + 4 / math.pi
-        case Retroreflector(half_width_rad=w):
-            kappa = concentration(w)
-            lobe = kappa / (2 * math.pi * -math.expm1(-2 * kappa)) + 1 / math.pi
-        case _:
-            lobe = 1 / math.pi
-    return material.albedo * lobe
 
 
 def simulated(case: Case) -> Transient:

@@ -7,30 +7,17 @@ the scene and a small shift of some vertices breaks the lattice by a hair.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
+from every_brdf import KINDS
 from fuzz_profile import st
 from rooms import rectangle
 
-from datagen import (
-    GGX,
-    Accuracy,
-    Capture,
-    Lambertian,
-    Laser,
-    OrenNayar,
-    Part,
-    Phong,
-    Retroreflector,
-    Scene,
-    Sensor,
-    SinLobe,
-    TimeAxis,
-)
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.records import Material
+from datagen.transport.brdf import lobe_width
 from datagen.units import SPEED_OF_LIGHT_M_PER_S as C
 
 HAIR_M = (0.0, 0.0, 0.0, 1e-9, 1e-6, 1e-3)
@@ -55,23 +42,9 @@ class Case:
 @st.composite
 def materials(draw: st.DrawFn, *, smooth: bool = False) -> Material:
     """Any material; `smooth`: none with a lobe so narrow that random samples hardly meet it."""
-    albedo = draw(albedos)
-    kind = draw(st.sampled_from(["lambertian", "lambertian", "oren_nayar", "phong", "sin_lobe", "ggx", "retro"]))
-    if kind == "oren_nayar":
-        return OrenNayar(albedo, draw(st.sampled_from([0.0, 0.35, math.pi / 2])))
-    if kind == "phong":
-        exponent = draw(st.sampled_from([0.0, 0.5, 3.0] if smooth else [0.0, 0.5, 20.0, 10_000.0]))
-        return Phong(albedo, exponent, draw(st.sampled_from([0.0, 0.4, 1.0])))
-    if kind == "sin_lobe":
-        return SinLobe(albedo, draw(st.sampled_from([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, -0.5, 2.0)])))
-    if kind == "ggx":
-        roughness = draw(st.sampled_from([0.8, 1.0] if smooth else [0.1, 0.5, 1.0]))
-        return GGX(albedo, roughness, draw(st.sampled_from([0.04, 1.0])))
-    if kind == "retro" and not smooth:
-        return Retroreflector(
-            albedo, draw(st.sampled_from([0.001, 0.1, math.pi / 4])), draw(st.sampled_from([0.5, 1.0]))
-        )
-    return Lambertian(albedo)
+    kind = KINDS[draw(st.sampled_from(["lambertian", *KINDS]))]
+    known = [material for material in kind.laws + kind.matt if not smooth or lobe_width(material) > 0.6]
+    return replace(draw(st.sampled_from(known or KINDS["lambertian"].laws)), albedo=draw(albedos))
 
 
 @st.composite

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from every_brdf import kind_of
 from numpy.typing import NDArray
 
-from datagen import GGX, Phong, Retroreflector
+from datagen import GGX
 from datagen.compiled import compiled
 from datagen.records import Material
 from datagen.transport import brdf
-from datagen.transport.brdf import MaterialTable
+from datagen.transport.brdf import MaterialTable, model_of
 
 AZIMUTH = 0.7
 NORMAL = np.array([-0.6, 0.64, -0.48])
@@ -87,9 +88,8 @@ def incoming(cosine: float, azimuth: float = AZIMUTH, n: NDArray[np.float64] = N
 
 
 def lobe_axis(material: Material, w_in: NDArray[np.float64], n: NDArray[np.float64] = NORMAL) -> NDArray[np.float64]:
-    if isinstance(material, Phong):
-        return 2 * (n @ w_in) * n - w_in
-    return w_in if isinstance(material, Retroreflector) else n
+    axes = {"normal": n, "mirror": 2 * (n @ w_in) * n - w_in, "incoming": w_in}
+    return axes[kind_of(material).axis]
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,4 @@ def integrals(
 
 def width_of(material: Material) -> float:
     """1 − cos of an angle well inside the lobe: the scale on which cells are laid out."""
-    match material:
-        case Phong():
-            return 0.5 / (material.exponent + 1)
-        case Retroreflector():
-            return 0.5 * (1 - math.cos(material.half_width_rad))
-    return 0.5
+    return 0.5 * (1 - math.cos(min(model_of(material).lobe_width_rad(material), math.pi / 2)))

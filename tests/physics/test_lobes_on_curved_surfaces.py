@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from every_brdf import BROAD, KINDS
 
 import datagen as dg
 from datagen.transport.brdf import MaterialTable
@@ -24,15 +25,14 @@ PIXEL_M, APERTURE_M = 2e-4, 0.02
 POINTS = np.array([(0.0, y, 1.4 + z) for y in np.linspace(-0.7, 0.7, 6) for z in np.linspace(-0.7, 0.7, 6)])
 BODY = (0.95, -0.5, 0.6)
 MATERIALS = [
-    *(dg.Phong(0.5, exponent=n, specular=1) for n in (1, 2, 5, 10, 30, 100, 300, 1000)),
-    *(dg.Phong(0.5, exponent=n, specular=0.5) for n in (10, 1000)),
-    *(dg.GGX(0.5, roughness) for roughness in (0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0)),
-    *(dg.Retroreflector(0.5, half_width_rad=width) for width in (0.0087, 0.05, 0.2, 0.78)),
-    *(dg.OrenNayar(0.5, sigma) for sigma in (0.3, 1.5)),
-    dg.SinLobe(0.5),
-    dg.Lambertian(0.5),
+    *(dg.Phong(0.5, exponent=n, specular=1) for n in (5, 30, 100, 300, 1000)),
+    dg.Phong(0.5, exponent=1000, specular=0.5),
+    *(dg.GGX(0.5, roughness) for roughness in (0.1, 0.15, 0.2, 0.3)),
+    *(dg.Retroreflector(0.5, half_width_rad=width) for width in (0.0087, 0.05)),
+    *BROAD.values(),
 ]
-BY_DAY = MATERIALS[1::4]
+"""Narrow lobes, and materials of every kind."""
+BY_DAY = [*MATERIALS[1:12:4], *(next(iter(kind.broad.values())) for kind in KINDS.values())]
 
 
 def ball() -> trimesh.Trimesh:

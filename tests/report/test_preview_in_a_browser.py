@@ -84,13 +84,16 @@ def test_a_room_s_values_say_what_its_objects_have_and_show_labels_as_the_pictur
     assert label["name"].startswith("Depth (m), ") and label["size"] == [3.0, 2.5]
 
 
+SIZES = {"row": 4, "column": 6, "axis": 3, "voxel_depth": 3, "voxel_row": 4, "voxel_column": 6}
+
+
 def test_every_label_is_an_image_even_where_it_is_empty() -> None:
     """White where there is nothing; a volume as it is seen along its depth."""
     for field, of in DRAWN.items():
-        shape = (3, 4, 6) if of.is_volume else (4, 6, 3) if field == "normal" else (4, 6)
-        empty = np.full(shape, -1) if field == "part_id" else np.zeros(shape)
+        shape = tuple(SIZES[axis] for axis in of.dims)
+        empty = np.full(shape, -1) if of.look.colors == "parts" else np.zeros(shape)
         image = LabelImage.of(l_corridor(), field, empty)
         assert image.rgb.shape == (4, 6, 3)
-        if field in ("depth", "evidence", "normal", "part_id"):
+        if of.look.least is not None or of.look.colors in ("parts", "directions"):
             assert (image.rgb == 255).all(), field
         assert (image.low < image.high).all() and (of.is_volume or np.array_equal(image.low, -image.high))

@@ -14,11 +14,12 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from random_specs import LAYOUTS, random_spec
+from random_specs import random_spec
 from room_laws import assert_as_declared, assert_moved_devices, assert_room_laws, object_names
 
 from datagen.errors import InputError
 from datagen.scene import generate_scene
+from scene_library.layouts import LAYOUTS
 
 REMEDIES = ("lower", "raise", "change", "enlarge", "widen", "remove", "set its placement")
 MOVED_EVERY = 4

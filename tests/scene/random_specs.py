@@ -5,16 +5,25 @@ from __future__ import annotations
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import trimesh
+from every_brdf import KINDS
 
 from datagen.config import SceneConfig, config_from_mapping
 from datagen.config.distributions import support
+from datagen.config.scene_layouts import AnyLayout, Closed
 from datagen.errors import InputError
 from scene_library.materials import MATERIALS
 from scene_library.objects import CLASSES, GROUPS
+
+CLOSED = frozenset(
+    settings.model_fields["kind"].default
+    for settings in get_args(get_args(AnyLayout)[0])
+    if issubclass(settings, Closed)
+)
+"""Layouts with walls all around."""
 
 
 def _range(rng: np.random.Generator, low: float, high: float) -> Any:
@@ -32,11 +41,6 @@ def _range(rng: np.random.Generator, low: float, high: float) -> Any:
     if kind == 4:
         return {"choice": [a, b, (a + b) / 2], "weights": [*rng.uniform(0, 1, 2), 0.1]}
     return {"choice": [a, b, (a + b) / 2]}
-
-
-LAYOUTS = (
-    "straight_corridor", "l_corridor", "t_corridor", "z_corridor", "corridor_room", "doorway_room", "isolated_wall"
-)  # fmt: skip
 
 
 @cache
@@ -57,7 +61,7 @@ def _layout(rng: np.random.Generator, kind: str) -> dict[str, Any]:
     layout = {"kind": kind, "turn": str(rng.choice(["left", "right", "random"])), **drawn}
     if rng.random() < 0.5:
         layout |= {"floor": bool(rng.random() < 0.5), "ceiling": bool(rng.random() < 0.5)}
-    if kind != "isolated_wall" and rng.random() < 0.5:
+    if kind in CLOSED and rng.random() < 0.5:
         most = float(rng.choice([2.0, 5.0, 12.0]))
         layout["out_of_square_deg"] = _range(rng, -most, most)
     if rng.random() < 0.3:
@@ -86,18 +90,10 @@ def _surface(rng: np.random.Generator) -> dict[str, Any]:
         if named
         else {"albedo": _range(rng, 0.0, 1.0)}
     )
-    brdfs: list[dict[str, Any]] = [
-        {"kind": "lambertian"},
-        {"kind": "sin_lobe"},
-        {"kind": "phong", "exponent": _range(rng, 0.0, 200.0), "specular": _range(rng, 0.0, 1.0)},
-        {"kind": "oren_nayar", "sigma_deg": _range(rng, 0.0, 60.0)},
-        {"kind": "ggx", "roughness": _range(rng, 0.1, 1.0), "f0": _range(rng, 0.0, 1.0)},
-        {"kind": "retroreflector", "half_width_deg": _range(rng, 0.1, 20.0), "retro": _range(rng, 0.0, 1.0)},
-    ]
-    if named:
-        brdfs.append({"kind": "catalogue"})
     if rng.random() < 0.5:
-        surface["brdf"] = brdfs[int(rng.integers(len(brdfs)))]
+        kind = str(rng.choice([*KINDS, "catalogue"] if named else [*KINDS]))
+        keys = KINDS[kind].keys if kind in KINDS else {}
+        surface["brdf"] = {"kind": kind, **{key: _range(rng, *bounds) for key, bounds in keys.items()}}
     return surface
 
 
@@ -176,7 +172,7 @@ _alive: list[tempfile.TemporaryDirectory[str]] = []
 def random_spec(rng: np.random.Generator, kind: str) -> SceneConfig:
     """Settings that can be read; whether rooms come of them is another matter."""
     while True:
-        contents = [_item(rng, kind != "isolated_wall") for _ in range(int(rng.integers(0, 4)))]
+        contents = [_item(rng, kind in CLOSED) for _ in range(int(rng.integers(0, 4)))]
         surfaces = ("relay_wall", "walls", "floor", "ceiling", "screen")
         scene = {
             "layout": _layout(rng, kind),

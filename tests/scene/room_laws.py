@@ -13,6 +13,7 @@ import numpy as np
 from crossing_counts import crossing_counts
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from random_specs import CLOSED
 
 from datagen.capture import capture_for
 from datagen.config import SceneConfig, config_from_mapping
@@ -115,7 +116,7 @@ def assert_nothing_intersects(scene: Scene) -> None:
                 if _may_be_open(scene, other) and not _is_closed(theirs):
                     continue
                 assert crossing_counts(theirs, start[:1], far[None])[0] % 2 == 0, f"{name} inside {other}"
-        if scene.parameters["layout.kind"] == "isolated_wall":
+        if scene.parameters["layout.kind"] not in CLOSED:
             continue
         # Inside the room: on the level, every way out leads through its walls, which close around it. A hair of rise
         # keeps it off the edges that the grid of an uneven wall has at half the height.
@@ -277,7 +278,7 @@ def assert_as_declared(spec: SceneConfig, scene: Scene) -> None:
 
 
 def assert_room_laws(scene: Scene, rng: np.random.Generator, clearance_m: float | None = None) -> None:
-    if scene.parameters["layout.kind"] != "isolated_wall":
+    if scene.parameters["layout.kind"] in CLOSED:
         assert_closed_surface(scene)
         assert_light_stays_inside(scene, rng)
     assert_nothing_intersects(scene)

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from random_specs import LAYOUTS
 from scipy import stats
 
 from datagen.config import SceneConfig, config_from_mapping
 from datagen.config.distributions import support
 from datagen.scene import generate_scene
+from scene_library.layouts import LAYOUTS
 
 LEVEL = 1e-3
 OBJECTS: dict[str, dict[str, Any]] = {

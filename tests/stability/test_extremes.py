@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from every_brdf import KINDS
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 
 from datagen import (
-    GGX,
     Accuracy,
     Capture,
     Lambertian,
@@ -20,10 +21,8 @@ from datagen import (
     OrenNayar,
     Part,
     Phong,
-    Retroreflector,
     Scene,
     Sensor,
-    SinLobe,
     TimeAxis,
     Transient,
     capture_for,
@@ -37,8 +36,15 @@ APERTURE_M2 = math.pi * 0.02**2
 WINDOW = bins_of_path(100, 0.5, 0.0)
 WALL = Part("wall", rectangle((0, 0, 0), (0, 2, 0), (0, 0, 2)), Lambertian(0.8), "relay_wall")
 ROOM = Path(__file__).parents[2] / "configs" / "demonstration_room.yaml"
-GLOSSY = (Lambertian(0.7), Phong(0.6, 20.0, 0.5), OrenNayar(0.8), GGX(0.7, 0.5, 0.3), Retroreflector(0.9, 0.1, 0.5),
-          SinLobe(0.5))  # fmt: skip
+
+
+def with_every_brdf(scene: Scene) -> list[Scene]:
+    """The scene with a material of each kind on its parts, as often as it takes to give each kind a part."""
+    materials, parts = [next(iter(kind.broad.values())) for kind in KINDS.values()], len(scene.materials)
+    return [
+        replace(scene, materials=tuple(islice(cycle(materials), first, first + parts)))
+        for first in range(0, len(materials), parts)
+    ]
 
 
 def energy(result: Transient) -> float:
@@ -61,7 +67,7 @@ def relative_l1(found: np.ndarray, truth: np.ndarray) -> float:
 
 WAYS = {
     "paths": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
-    "glossy": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
+    "every BRDF": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
     "all orders": (Accuracy(samples=2048, max_bounces=None, direct=True), 1e-4),
     "to a target": (Accuracy(target=0.02), 5e-3),
 }
@@ -75,21 +81,19 @@ def test_the_same_light_at_every_scale_and_place(way: str, scale: float, shift: 
 
     Bounces after the secondary are compared in their sum: a thousandth of a degree turns a path at an edge.
     """
-    scene = furnished_box()
-    if way == "glossy":
-        scene = replace(scene, materials=GLOSSY)
     capture = one_point_capture(time=bins_of_path(400, 0.05, 0.0))
     accuracy, rel = WAYS[way]
-    plain = simulate(scene, capture, accuracy, seed=1)
-    other = simulate(*moved(scene, capture, scale, shift), accuracy, seed=1)
-    for name, values in plain.components.items():
-        found = other.components[name] * scale**2
-        if not values.any():
-            assert not found.any(), name
-        elif name == "higher":
-            assert found.sum() == pytest.approx(values.sum(), rel=rel, abs=0)
-        else:
-            assert relative_l1(found, values) < rel, name
+    for scene in with_every_brdf(furnished_box()) if way == "every BRDF" else [furnished_box()]:
+        plain = simulate(scene, capture, accuracy, seed=1)
+        other = simulate(*moved(scene, capture, scale, shift), accuracy, seed=1)
+        for name, values in plain.components.items():
+            found = other.components[name] * scale**2
+            if not values.any():
+                assert not found.any(), name
+            elif name == "higher":
+                assert found.sum() == pytest.approx(values.sum(), rel=rel, abs=0)
+            else:
+                assert relative_l1(found, values) < rel, name
 
 
 def test_one_sample_at_a_surface_that_is_touched_is_bounded() -> None:

@@ -6,7 +6,7 @@ import json
 import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,16 +18,14 @@ from fake_samples import fake_sample, small_config
 
 import datagen as dg
 from datagen.config import DatasetConfig, load_config, time_axes
+from datagen.config.store import StoredField
 from datagen.errors import InputError
 from datagen.store import committed, read_manifest, schema_of, verify
 from datagen.store.card import card as card_text
 from datagen.store.schema import FORMAT
 
 ROOT = Path(__file__).resolve().parents[2]
-EVERY_FIELD = [
-    "histogram", "transient", "transient_stderr", "depth", "normal", "albedo", "part_id", "shaded", "occupancy",
-    "sdf", "objects",
-]  # fmt: skip
+EVERY_FIELD = list(get_args(StoredField))
 TIME = {"bins": 16, "bin_width_ps": 250.0, "start_ns": 3.0, "origin": "source"}
 SCAN = {"rows": 2, "columns": 3}
 CAPTURES: dict[str, dict[str, Any]] = {

@@ -9,27 +9,11 @@ Surfaces do not transmit: a direction below the surface gets no light.
 from datagen.transport.brdf.albedo import albedo
 from datagen.transport.brdf.directions import Vector, cosine_directions, dot, in_frame_of, sample_cosine
 from datagen.transport.brdf.models import evaluate, evaluate_at_most, pdf, sample, widen
-from datagen.transport.brdf.table import (
-    GGX_LOBE,
-    LAMBERTIAN,
-    MODELS,
-    OREN_NAYAR,
-    PHONG,
-    RETROREFLECTOR,
-    SIN_LOBE,
-    Materials,
-    MaterialTable,
-    lobe_width,
-)
+from datagen.transport.brdf.table import LAMBERTIAN, MODELS, Materials, MaterialTable, lobe_width, model_of
 
 __all__ = [
-    "GGX_LOBE",
     "LAMBERTIAN",
     "MODELS",
-    "OREN_NAYAR",
-    "PHONG",
-    "RETROREFLECTOR",
-    "SIN_LOBE",
     "MaterialTable",
     "Materials",
     "Vector",
@@ -40,6 +24,7 @@ __all__ = [
     "evaluate_at_most",
     "in_frame_of",
     "lobe_width",
+    "model_of",
     "pdf",
     "sample",
     "sample_cosine",

@@ -35,6 +35,9 @@ MARGIN = 1e-4
 """Added to the tabulated E, more than interpolation can miss, so that the albedo never exceeds 1. Half of it would
 halve the light that this takes away, but may be less than interpolation misses."""
 
+HALF_WIDTH = 1.3
+"""Half width at half maximum of the lobe at normal incidence, rad, over α."""
+
 
 def row(material: GGX) -> tuple[float, ...]:
     """The numbers of a material's row that follow the albedo."""
@@ -44,7 +47,7 @@ def row(material: GGX) -> tuple[float, ...]:
 
 def lobe_width_rad(material: GGX) -> float:
     """Half width at half maximum of the lobe at normal incidence."""
-    return 1.3 * float(material.roughness) ** 2
+    return HALF_WIDTH * float(material.roughness) ** 2
 
 
 def share(material: GGX, cosine: Floats, azimuth_rad: Floats) -> Floats:
