@@ -55,8 +55,6 @@ STRAIGHT, EVEN, LEVELS = 0.02, 0.5, 2
 """Bend of the arrival times over an element, relative to their span, up to which they count as linear; square of its
 size over its distance up to which its weights do; and most times that an element with more is quartered for the
 spread of its light: such errors are alike in all replicates."""
-MOST_ROWS = 4 * 4**LEVELS
-"""Most rows of light of a sample."""
 WIDE = 0.3
 """Variance of the arrival times over a cluster, relative to that over an element or a bin, from which on it is
 spread by quarters: of a spread only mean and variance are known."""
@@ -108,38 +106,39 @@ class Room(NamedTuple):
 class Batch(NamedTuple):
     """Samples that wait for their rays.
 
-    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. first,
-    last : (n,) span of the sample in the arrays `light`, photons; `time`, (…, 3) arrival times by way of the corners
-    of a triangle, bins; and `at`, (…, 3) weights there. grid : scratch.
+    ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. light :
+    (n,) photons. level : (n,) of the 4^level equal parts of a triangle that the light is spread over. time, at :
+    (n, 15) arrival times by way of the corners of these parts, bins, and guessed light there: corner i, j, which lies
+    i/2^level and j/2^level of the way to two corners of the triangle, is number `_place(i, j)`. change : (n, 2) change
+    of the times along the two sides of the cluster, bins.
     """
 
     ends: NDArray[np.float32]
     row: Ints
-    first: Ints
-    last: Ints
     light: Floats
+    level: Ints
     time: Floats
     at: Floats
-    grid: Floats
+    change: Floats
 
     @classmethod
     def of(cls, n: int) -> Batch:
         """Room for n samples."""
-        row, first, last = (np.empty(n, np.int64) for _ in range(3))
-        many = 8 * n
-        time, at = (np.empty((many, 3)) for _ in range(2))
-        grid = np.empty((2, 2**LEVELS + 1, 2**LEVELS + 1))
-        return cls(np.empty((n, 3, 3), np.float32), row, first, last, np.empty(many), time, at, grid)
+        corners = (2**LEVELS + 1) * (2**LEVELS + 2) // 2
+        return cls(
+            np.empty((n, 3, 3), np.float32), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64),
+            np.empty((n, corners)), np.empty((n, corners)), np.empty((n, 2)),
+        )  # fmt: skip
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _random(state):  # type: ignore[no-untyped-def]
     """The next number in 0 … 1 of a stream, whose state is state[0] (Knuth's linear congruential generator)."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return (np.float64(state[0] >> np.uint64(33)) + 0.5) * 2.0**-31
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _brdf(kind, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
     """A guess of the largest BRDF near two directions, never 0 unless the surface is black."""
     if kind == LAMBERTIAN:
@@ -148,7 +147,7 @@ def _brdf(kind, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
     return f if f > 0.0 else values[0] / math.pi
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _seen_by(pool, p, c, kind, values):  # type: ignore[no-untyped-def]
     """Cluster c of pixel p: middle, mean normal, radius, sine and thickness, and direction to the sensor and BRDF of
     one of its points."""
@@ -157,7 +156,7 @@ def _seen_by(pool, p, c, kind, values):  # type: ignore[no-untyped-def]
     return get(row, c, 0), get(row, c, 3), row[c, 6], row[c, 7], row[c, 8], back, kind[k], values[k]
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _guess(y, n, surface, lit, seen, air, plane, turn):  # type: ignore[no-untyped-def]
     """A guess of the light at point y, for each m² and unit of gain, and the distance to the laser point.
 
@@ -187,7 +186,7 @@ def _guess(y, n, surface, lit, seen, air, plane, turn):  # type: ignore[no-untyp
     return f / (square1 * square1 * square3 * square3), r1
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
     """Upper bound of the product of the cosines at x and at a box's surface, on any line between them.
 
@@ -206,7 +205,7 @@ def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-
     return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _light_of_box(tree, at, surface, peak, lit, seen, air, plane):  # type: ignore[no-untyped-def]
     """About the most light of box `at`, for each unit of gain: −1 if no point of the cluster or no laser light gets
     there, infinite if it is near or holds few triangles. peak : largest BRDF of the box, 1/sr."""
@@ -240,20 +239,20 @@ def _light_of_box(tree, at, surface, peak, lit, seen, air, plane):  # type: igno
     return area * f * transmittance(air, near1 + near3) / (near1 * near3) ** 2
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _push(tag, top, what, at, c, q, many):  # type: ignore[no-untyped-def]
     """Lets a box or piece and a cluster wait at `top`."""
     tag[top, 0], tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] = what, at, c, q, many
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _set_corner(piece, top, v, y, n, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
     """Sets corner v of a piece: its place, the guess of its light, and its distance from the laser point."""
     put(piece, top, 3 * v, y)
     piece[top, 9 + v], piece[top, 12 + v] = _guess(y, n, surface, lit, seen, air, plane, 0.0)
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _open_box(tree, tag, piece, top, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
     """Lets the halves of the box at `top` wait in its place, or its triangles; returns the new top."""
     at, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4]
@@ -271,7 +270,7 @@ def _open_box(tree, tag, piece, top, surface, lit, seen, air, plane):  # type: i
     return top
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _open_cluster(tag, piece, top, n, surface, lit, pool, p, kind, values, air, plane):  # type: ignore[no-untyped-def]
     """Lets the piece at `top`, with normal n, wait with each quarter of its cluster; returns the new top."""
     f, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] // 4
@@ -288,7 +287,7 @@ def _open_cluster(tag, piece, top, n, surface, lit, pool, p, kind, values, air, 
     return top
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _halve(tag, piece, top, share, n, surface, lit, seen, air, plane):  # type: ignore[no-untyped-def]
     """Lets the two parts of the piece at `top`, with normal n, wait, divided across its longest side; returns the new
     top."""
@@ -305,7 +304,7 @@ def _halve(tag, piece, top, share, n, surface, lit, seen, air, plane):  # type: 
     return top + 2
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
     """Whether all of a triangle lies below the surface at the laser point, or below that of all FoV points, or all of
     them on the other side of the triangle than the laser point.
@@ -325,7 +324,7 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
     return up1 <= plane or up3 <= plane
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, lobe, room, lit, seen):  # type: ignore[no-untyped-def]
     """What becomes of the piece at `top`, and: largest guess on it, its area, m², the bins it spreads over, by how
     much the mean of the times at its corners is later than the time at its middle, bins, and the square of its size
@@ -367,7 +366,7 @@ def _judged(piece, top, n, many, surface, delta, gain, leg, last_leg, lobe, room
     return HALVES if may_halve and is_inside and is_bright else SAMPLE, most, area, width, bend, across
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     """A point of a triangle, drawn with a density that is linear between its corners, from (u, v) in the unit
     square."""
@@ -380,7 +379,7 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     return t if which == 0 else a, t if which == 1 else a if which == 0 else b, t if which == 2 else b
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
     """Mean change of the path by way of y over a flat cluster with the middle z, and its changes along the two sides,
     metres.
@@ -405,67 +404,52 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: igno
     return mean, one, two
 
 
-@compiled()
-def _spread(  # type: ignore[no-untyped-def]
-    batch, rows, corners, level, is_even, n, surface, lit, seen, air, plane, z, path, one, two, light, per
-):  # fmt: skip
-    """Spreads light over the arrival times of a piece, by way of its 4^level equal parts, in proportion to their
-    guessed light; returns the next free row.
-
-    corners : (3, 3) and (3,) corners and weights there. is_even : whether weights are linear in between. n : normal.
-    z : FoV point. path : that all have in common, metres. one, two : change of the path along the sides of the
-    cluster, bins. per : bins of a metre.
-    """
-    (y0, y1, y2, w0, w1, w2), parts, total, first = corners, 1 << level, 0.0, rows
-    # Times and weights at the corners of the parts: place i, j lies i/parts and j/parts of the way to two corners.
-    time, at = batch.grid[0], batch.grid[1]
-    for i in range(parts + 1):
-        for j in range(parts + 1 - i):
-            s1, s2 = i / parts, j / parts
-            s0 = 1.0 - s1 - s2
-            y = _between(y0, y1, y2, s0, s1, s2)
-            linear = s0 * w0 + s1 * w1 + s2 * w2
-            at[i, j] = linear
-            if not is_even and max(i, j, parts - i - j) < parts:
-                at[i, j] = max(_guess(y, n, surface, lit, seen, air, plane, 0.0)[0], LEAST * linear)
-            time[i, j] = (distance(y, lit[0]) + distance(y, z) + path) * per
-    # A cluster over which times change by more than over the piece is spread by its quarters.
-    a, b, c = time[0, 0], time[parts, 0], time[0, parts]
-    m, variance = (a + b + c) / 3.0, (one * one + two * two) / 12.0
-    quarters = 2 if variance > WIDE * max((a - m) ** 2 + (b - m) ** 2 + (c - m) ** 2, 1.0) / 12.0 else 1
-    variance /= quarters * quarters
-    for q in range(quarters * quarters):
-        later = 0.25 * (one * (2 * (q % 2) - 1) + two * (2 * (q // 2) - 1)) if quarters > 1 else 0.0
-        for i in range(parts):
-            for j in range(parts - i):
-                # A part that stands upright, and one beside it that stands upside down.
-                for down in range(2 if j < parts - i - 1 else 1):
-                    a, b = (i + 1, j) if down else (i, j)
-                    batch.time[rows, 0], batch.time[rows, 1], batch.time[rows, 2] = widened(
-                        time[a, b] + later, time[i + 1, j + down] + later, time[i, j + 1] + later, variance
-                    )
-                    row = batch.at[rows]
-                    row[0], row[1], row[2] = at[a, b], at[i + 1, j + down], at[i, j + 1]
-                    batch.light[rows] = row[0] + row[1] + row[2]
-                    total += batch.light[rows]
-                    rows += 1
-    for row in range(first, rows):
-        batch.light[row] *= light / total
-    return rows
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _place(i, j, parts):  # type: ignore[no-untyped-def]
+    """Number of the corner i, j of a triangle whose sides are divided into so many parts."""
+    return i * (2 * parts + 3 - i) // 2 + j
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _corners_of_part(i, j, down, parts):  # type: ignore[no-untyped-def]
+    """Numbers of the corners of part i, j: the one that stands upright, or the one beside it that is upside down."""
+    return _place(i + down, j, parts), _place(i + 1, j + down, parts), _place(i, j + 1, parts)
+
+
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _drawn_part(at, parts, u):  # type: ignore[no-untyped-def]
+    """A part, drawn by its light; u as a new random number; and three times the light of all parts, each of which has
+    the unit of area."""
+    total = 0.0
+    for i in range(parts):
+        for j in range(parts - i):
+            for down in range(2 if j < parts - i - 1 else 1):
+                a, b, c = _corners_of_part(i, j, down, parts)
+                total += at[a] + at[b] + at[c]
+    before, rest = 0.0, u * total
+    i = j = down = 0
+    for i in range(parts):
+        for j in range(parts - i):
+            for down in range(2 if j < parts - i - 1 else 1):
+                a, b, c = _corners_of_part(i, j, down, parts)
+                own = at[a] + at[b] + at[c]
+                if rest < before + own or i == parts - 1:
+                    return i, j, down, min(max((rest - before) / own, 0.0), 1.0), total
+                before += own
+    return i, j, down, 0.5, total
+
+
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _join(  # type: ignore[no-untyped-def]
-    y, n, surface, lit, seen, density, corners, level, bend, is_even, replicate, u, c, q, many, points, pool, p, room,
-    leg, power, state, batch, used, poured,
+    y, n, surface, lit, seen, density, corners, level, bend, replicate, u, c, q, many, points, pool, p, room,
+    leg, power, state, batch, used,
 ):  # fmt: skip
-    """Adds the sample of hidden point y to the batch, joined to some FoV points of a cluster; returns how many rows
-    of light it has, 0 if it brings none.
+    """Sets sample `used` of the batch to that of hidden point y, joined to some FoV points of a cluster; returns
+    whether it brings light.
 
-    density : 1/m², with which y is drawn. corners : of the piece that y lies on, and weights there; its times are
-    taken for linear on each of 4^level parts, which are `bend` bins late; is_even : whether its weights are, too.
-    u : random number that chooses the FoV points. c, q, many, points : cluster, its first square, number of its
-    squares, and how many points.
+    density : 1/m², with which y is drawn. corners : of the piece that y lies on; its times are taken for linear on
+    each of 4^level parts, which are `bend` bins late. u : random number that chooses the FoV points. c, q, many,
+    points : cluster, its first square, number of its squares, and how many points.
     """
     row, first = pool.cluster[p, c], p * (len(pool.part) // len(pool.cluster))
     each, total, chosen, per = many // points, 0.0, -1, room.per_metre
@@ -483,7 +467,7 @@ def _join(  # type: ignore[no-untyped-def]
         if light > 0.0 and (total == light or _random(state) * total < light):
             chosen = j
     if chosen < 0:
-        return 0
+        return False
     z, n3, last_leg = get(pool.position, chosen, 0), get(pool.normal, chosen, 0), pool.leg[chosen]
     side = room.offset if dot(subtract(lit[0], y), n) > 0.0 else -room.offset
     ends = batch.ends[used]
@@ -498,13 +482,17 @@ def _join(  # type: ignore[no-untyped-def]
         mean, one, two = _change_over_cluster(y, n, z, seen[1], seen[5], sides, last_leg if room.device else np.inf)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * bend) / per
-    return _spread(
-        batch, poured, corners, level, is_even, n, surface, lit, seen, room.air, room.plane, z, path,
-        one * per, two * per, total, per,
-    ) - poured  # fmt: skip
+    (y0, y1, y2), parts = corners, 1 << level
+    for i in range(parts + 1):
+        for j in range(parts + 1 - i):
+            y = _between(y0, y1, y2, 1.0 - (i + j) / parts, i / parts, j / parts)
+            batch.time[used, _place(i, j, parts)] = (distance(y, lit[0]) + distance(y, z) + path) * per
+    batch.light[used], batch.level[used] = total, level
+    batch.change[used, 0], batch.change[used, 1] = one * per, two * per
+    return True
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     """The point of a triangle with some barycentric coordinates."""
     return (
@@ -513,59 +501,72 @@ def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _fraction(u):  # type: ignore[no-untyped-def]
     """The part of u ≥ 0 after the point."""
     return u - math.floor(u)
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _sample(  # type: ignore[no-untyped-def]
     tree, tag, piece, top, judged, surface, lit, seen, lobe, numbers, replicate, pool, p, room, leg, power, state,
-    expected, batch, used, poured,
+    expected, batch, used,
 ):  # fmt: skip
-    """Adds one sample of the box or piece at `top` to the batch; returns how many rows of light it has.
+    """Sets sample `used` of the batch to one of the box or piece at `top`; returns whether it brings light.
 
     judged : what `_judged` has found of a piece. numbers : (3,) random numbers for the hidden and the FoV point.
     """
-    (most, area, width, bend, across), f = judged, tag[top, 1]
+    (most, area, width, bend, across), f, at = judged, tag[top, 1], batch.at[used]
+    level = 0
     if tag[top, 0] == BOX:
         low, high = tree.span[f, 0], tree.span[f, 1]
         area = tree.area[high] - tree.area[low]
         f = triangle_by_area(low, high, tree.area, np.uint64(_random(state) * 4294967296.0))
         y0, y1, y2 = corner(tree.corners, f, 0), corner(tree.corners, f, 1), corner(tree.corners, f, 2)
-        w0 = w1 = w2 = 1.0
+        at[0] = at[1] = at[2] = 1.0
+        n = get(tree.normal, f, 0)
     else:
+        n = get(tree.normal, f, 0)
         y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
         least = LEAST * most if most > 0.0 else 1.0
         w0, w1, w2 = max(piece[top, 9], least), max(piece[top, 10], least), max(piece[top, 11], least)
-    n, (s0, s1, s2) = get(tree.normal, f, 0), _barycentric(numbers[0], numbers[1], w0, w1, w2)
-    y = _between(y0, y1, y2, s0, s1, s2)
+        while (bend > STRAIGHT * width or across > EVEN) and level < LEVELS:
+            level, bend, across = level + 1, 0.25 * bend, 0.25 * across
+        parts = 1 << level
+        for i in range(parts + 1):
+            for j in range(parts + 1 - i):
+                s1, s2 = i / parts, j / parts
+                s0 = 1.0 - s1 - s2
+                linear = s0 * w0 + s1 * w1 + s2 * w2
+                if max(i, j, parts - i - j) < parts:
+                    y = _between(y0, y1, y2, s0, s1, s2)
+                    linear = max(_guess(y, n, surface, lit, seen, room.air, room.plane, 0.0)[0], LEAST * linear)
+                at[_place(i, j, parts)] = linear
+    parts = 1 << level
+    i, j, down, u, total = _drawn_part(at, parts, numbers[0])
+    a, b, c = _corners_of_part(i, j, down, parts)
+    t0, t1, t2 = _barycentric(u, numbers[1], at[a], at[b], at[c])
+    s1, s2 = (t0 * (i + down) + t1 * (i + 1) + t2 * i) / parts, (t0 * j + t1 * (j + down) + t2 * (j + 1)) / parts
+    y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
+    density = 3.0 * (t0 * at[a] + t1 * at[b] + t2 * at[c]) * parts * parts / (area * total)
     if tag[top, 0] == BOX:
         # All of a small box's light arrives at one time.
         y0 = y1 = y2 = y
-    density = 3.0 * (s0 * w0 + s1 * w1 + s2 * w2) / (area * (w0 + w1 + w2))
-    c, q, many, points, level = tag[top, 2], tag[top, 3], tag[top, 4], 1, 0
+    c, q, many = tag[top, 2], tag[top, 3], tag[top, 4]
     # What is expected of all elements, and of those whose FoV points are far apart for their distance.
     gain = power * pool.cluster[p, c, 9]
     expected[0] += gain * area * most
     expected[1] += (
         gain * area * most if many == 1 and seen[2] > COARSEST_CLUSTER * lobe * distance(y, seen[0]) else 0.0
     )
-    if pool.cluster[p, c, 17] == 0.0:
-        blur = 2.0 * seen[2] * max(room.per_metre / width, 2.0 / distance(y, seen[0]))
-        while points < many and points < MOST_POINTS and blur > BLURRED:
-            points, blur = 4 * points, 0.5 * blur
-    is_even = across <= EVEN
-    while (bend > STRAIGHT * width or across > EVEN) and level < LEVELS:
-        level, bend, across = level + 1, 0.25 * bend, 0.25 * across
+    points = min(many, MOST_POINTS)
     return _join(
-        y, n, surface, lit, seen, density, (y0, y1, y2, w0, w1, w2), level, bend, is_even, replicate, numbers[2], c,
-        q, many, points, pool, p, room, leg, power, state, batch, used, poured,
+        y, n, surface, lit, seen, density, (y0, y1, y2), level, bend, replicate, numbers[2], c,
+        q, many, points, pool, p, room, leg, power, state, batch, used,
     )  # fmt: skip
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def emit(  # type: ignore[no-untyped-def]
     pairs, delta, slot, replicate, seed, tree, room, pool, tag, piece, at, numbers, state, expected, batch
 ):  # fmt: skip
@@ -579,7 +580,7 @@ def emit(  # type: ignore[no-untyped-def]
     and the state of their stream. expected : (2,) photons as guessed, added up: of all pieces, and of those whose FoV
     points are far apart for their distance.
     """
-    used = poured = 0
+    used = 0
     kind, values, lasers = room.kind, room.values, room.lasers
     for pair in range(at[0], len(pairs)):
         i, p = pairs[pair, 0], pairs[pair, 1]
@@ -632,26 +633,24 @@ def emit(  # type: ignore[no-untyped-def]
                         top = _halve(tag, piece, top, share, n, surface, lit, seen, room.air, room.plane)
                     if verdict != SAMPLE:
                         continue
-                if used == len(batch.row) or poured + MOST_ROWS > len(batch.light):
+                if used == len(batch.row):
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
                 at[3] += 1
                 for d in range(3):
                     numbers[d] = _fraction(numbers[d] + STEPS[d])
-                rows = _sample(
+                if _sample(
                     tree, tag, piece, top, (most, area, width, bend, across), surface, lit, seen, lobe,
-                    numbers, replicate, pool, p, room, leg, power, state, expected, batch, used, poured,
-                )  # fmt: skip
-                if rows > 0:
-                    row = slot[k] * len(pairs) + pair
-                    batch.row[used], batch.first[used], batch.last[used] = row, poured, poured + rows
-                    used, poured = used + 1, poured + rows
+                    numbers, replicate, pool, p, room, leg, power, state, expected, batch, used,
+                ):  # fmt: skip
+                    batch.row[used] = slot[k] * len(pairs) + pair
+                    used += 1
         at[1] = 0
     at[0] = len(pairs)
     return used
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
     """Sets origins and spans (…, 3) of the rays from the hidden points of some samples to the laser point (leg 0) or
     the FoV point (leg 1)."""
@@ -661,11 +660,31 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
             origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
 
 
-@compiled()
+@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
-    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…)."""
+    """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
+
+    The light of a sample is spread over the arrival times of its parts in proportion to their guessed light.
+    """
     for s in rows:
-        for m in range(batch.first[s], batch.last[s]):
-            light, (t0, t1, t2) = batch.light[m], get(batch.time, m, 0)
-            shape = tent(t0, t1, t2, batch.at[m, 0], batch.at[m, 1], batch.at[m, 2], light)
-            outside[batch.row[s]] += pour(histogram, batch.row[s], shape, light)
+        parts, at, time, row = 1 << batch.level[s], batch.at[s], batch.time[s], batch.row[s]
+        one, two, total = batch.change[s, 0], batch.change[s, 1], 0.0
+        for i in range(parts):
+            for j in range(parts - i):
+                for down in range(2 if j < parts - i - 1 else 1):
+                    a, b, c = _corners_of_part(i, j, down, parts)
+                    total += at[a] + at[b] + at[c]
+        # A cluster over which times change by more than over the piece is spread by its quarters.
+        t0, t1, t2 = time[0], time[_place(parts, 0, parts)], time[_place(0, parts, parts)]
+        m, variance = (t0 + t1 + t2) / 3.0, (one * one + two * two) / 12.0
+        quarters = 2 if variance > WIDE * max((t0 - m) ** 2 + (t1 - m) ** 2 + (t2 - m) ** 2, 1.0) / 12.0 else 1
+        variance, share = variance / quarters**2, batch.light[s] / (total * quarters**2)
+        for q in range(quarters * quarters):
+            later = 0.25 * (one * (2 * (q % 2) - 1) + two * (2 * (q // 2) - 1)) if quarters > 1 else 0.0
+            for i in range(parts):
+                for j in range(parts - i):
+                    for down in range(2 if j < parts - i - 1 else 1):
+                        a, b, c = _corners_of_part(i, j, down, parts)
+                        t0, t1, t2 = widened(time[a] + later, time[b] + later, time[c] + later, variance)
+                        light = (at[a] + at[b] + at[c]) * share
+                        outside[row] += pour(histogram, row, tent(t0, t1, t2, at[a], at[b], at[c], light), light)

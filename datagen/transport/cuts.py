@@ -35,10 +35,12 @@ from datagen.units import path_from_time
 
 AIM = 0.95
 """Error that a run aims at, relative to the one asked."""
-COARSER = 10.0
+COARSER = 30.0
 """δ of the pilot, in units of that with which all elements together would err by their light."""
-FEW = 64
+FEW = 32
 """Most pairs of laser point and pixel of a pilot."""
+PILOTS, STEP, CLOSE = 6, 6.0, 1.5
+"""Most pilots; most that δ falls from one to the next; and by how much it must for another one."""
 FIRST = 16
 """Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
@@ -279,13 +281,22 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     if len(every) > FEW:
         place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(every) / FEW
         few = place.astype(np.int64)
-    # About as coarse as what follows.
+    # A pilot tells what finer elements err by only if these are not much finer.
+    more, found = len(every) / len(few), _Found(cuts, problem.capture.time.bins)
     delta = COARSER * _asked(problem, cuts, few[:: max(len(few) // FIRST, 1)], target)
-    pilot, found = cuts.run(few, delta, 1), _Found(cuts, problem.capture.time.bins)
+    light, squares, again = np.zeros((len(cuts.groups), len(few), found.light.shape[2])), delta * 0.0, delta > 0.0
+    for turn in range(PILOTS):
+        pilot = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
+        light[again[cuts.groups]] = pilot.light[again[cuts.groups]]
+        squares = np.where(again, more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS), squares)
+        wanted = _precision(problem, cuts, (SCATTER + SHARED) * squares, light, target, more)
+        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
+        again = CLOSE * finer < delta
+        if not again.any() or turn == PILOTS - 1:
+            break
+        delta = np.where(again, np.maximum(finer, delta / STEP), delta)
     if cuts.expected[1] > NEAR * cuts.expected[0]:
         return None
-    light, more = pilot.light, len(every) / len(few)
-    squares = more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS)
     # Light of few histograms has few differences that tell its error, so that it is run more often.
     each = np.square(light.sum(axis=0)).sum(axis=1)
     histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
@@ -342,11 +353,18 @@ def _precision(problem: Problem, cuts: Cuts, squares: Floats, light: Floats, tar
     """
     asked, scene = problem.accuracy, problem.scene
     whole = more * l2_norm(light.sum(axis=0)) ** 2
-    # All groups alike: an element is worth its rays where it errs by as much as any other.
-    precision = np.full(len(squares), squares.sum() / max((AIM * target) ** 2 * whole, 1e-300))
+    own = np.zeros(len(squares))
     for k in range(len(light)):
-        own = more * l2_norm(light[k]) ** 2
-        if scene.roles[k] == "object" and own > max(FAINT**2 * whole, asked.faint_part**2):
+        of_part = more * l2_norm(light[k]) ** 2
+        if scene.roles[k] == "object" and of_part > max(FAINT**2 * whole, asked.faint_part**2):
             group = cuts.groups[k]
-            precision[group] = max(precision[group], squares[group] / ((AIM * asked.each_part) ** 2 * own))
-    return precision
+            own[group] = max(own[group], squares[group] / ((AIM * asked.each_part) ** 2 * of_part))
+    # All others alike: an element is worth its rays where it errs by as much as any other.
+    left, others, alike = max((AIM * target) ** 2 * whole, 1e-300), np.full(len(own), True), 0.0
+    while others.any():
+        alike = squares[others].sum() / (left - (squares / np.where(others, np.inf, own)).sum())
+        enough = others & (own >= alike)
+        if not enough.any():
+            break
+        others &= ~enough
+    return np.maximum(own, alike) if others.any() else own

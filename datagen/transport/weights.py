@@ -17,7 +17,7 @@ from datagen.transport.brdf import dot, evaluate
 from datagen.transport.geometry import subtract, transmittance
 
 
-@compiled(forceinline=True)
+@compiled(forceinline=True, fastmath={"reassoc", "contract", "arcp", "nsz"})
 def weight(y, n, kind2, values2, lit_from, seen_from, footprint, attenuation):  # type: ignore[no-untyped-def]
     """Weight w(y) without the laser's power and the sensor's factor W, 1/(m⁴ sr³); and distances R₁ and R₂, metres.
 
