@@ -29,8 +29,6 @@ WIDTHS = np.array([1, 3, 5, 9, 17])
 """Widths of boxes, in bins."""
 WINDOW, WINDOW_BINS = 600, (12, 64)
 """Values whose boxes have one width: histograms of a group times bins; and fewest and most of these bins."""
-RUNS = 2
-"""Most runs after the pilot."""
 GROWTH = 64
 """Most blocks of a run, in units of those before it: bounds the time of a scene whose light is not found."""
 AIM = 0.8
@@ -41,8 +39,6 @@ OWN, SHARE = 0.2, 0.3
 than `SHARE` of the whole error asked."""
 ROUGH = 0.1
 """Error of a pilot's energy from which on the pilot does not count: what remains is off by tenths of a per cent."""
-FAR = 2.0
-"""Error relative to the one asked from which on another sampler is tried."""
 
 Floats32 = NDArray[np.float32]
 
@@ -123,12 +119,12 @@ def sample_to_target(
     for unit in units:
         unit.run(unit.source.first)
         unit.source.aim(unit.group, np.sqrt(unit.variance.sum(axis=1)))
-    for turn in range(RUNS):
+    for is_first in (True, False):
         more = _effort(units, target, known, known_error)
         for unit, blocks in zip(units, more, strict=True):
             # A pilot that met little light by chance also sees little noise, and would be followed by few blocks.
             # Where that would matter, it only decides the effort and does not count.
-            unit.run(unit.restart() + blocks if turn == 0 and unit.is_rough else blocks)
+            unit.run(unit.restart() + blocks if is_first and unit.is_rough else blocks)
         if not any(more):
             break
     found = Sampled({}, {}, {}, {}, {})
@@ -146,8 +142,9 @@ def sample_to_target(
 
 
 def is_enough(error: float, own: float, whole: float, target: float) -> bool:
-    """Whether a component's L2 error is not far above what is asked; `own` and `whole` are L2 norms of light."""
-    return error <= FAR * max(OWN * own, SHARE * target * whole)
+    """Whether a component's L2 error is at most twice what is asked, so that no other sampler is tried; `own` and
+    `whole` are L2 norms of light."""
+    return error <= 2.0 * max(OWN * own, SHARE * target * whole)
 
 
 def _effort(units: list[_Unit], target: float, known: Floats, known_error: float) -> list[int]:

@@ -16,12 +16,11 @@ from datagen.records.arrays import Bools, Floats
 from datagen.transport.rays import Hits, Raycaster
 
 INWARD, INWARD_AT_LEAST_RAD = 1e-3, 2e-6
-"""How far the ray of a line of sight is moved towards its pixel's middle: fraction of the way there, and least angle,
-rad, some twenty roundings in single precision. With half of the angle, rays at corners of small pixels may miss the
-wall that the pixel sees."""
+"""How far the ray of a line of sight is moved towards its pixel's middle, so that rays at corners meet the wall that
+the pixel sees: fraction of the way there, and least angle, rad, some twenty roundings in single precision."""
 LONGEST_REACH = 2.0
 """Distance to the plane along a line of sight, relative to that along its ray, from which on the line only grazes the
-plane, so that the point that the ray met stands for it. Half of it rejects lines that do not graze at all."""
+plane, so that the point that the ray met stands for it."""
 
 
 @dataclass(frozen=True)

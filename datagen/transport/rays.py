@@ -7,7 +7,6 @@ triangle's plane, so that path lengths carry no float32 noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,12 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.records.arrays import Bools, Floats
+from datagen.transport.memory import in_calls
 
 SURFACE_OFFSET = 2e-6
-"""Distance, in units of the scene's half extent, by which ray ends are lifted off their surface: some twenty float32
-roundings at unit size, and 10 µm in a room of 10 m. With half of it, a surface may begin to hide itself."""
+"""Distance, in units of the scene's half extent, by which ray ends are lifted off their surface, so that it does not
+hide itself: some twenty float32 roundings at unit size, and 10 µm in a room of 10 m."""
 
 
 class Hits(NamedTuple):
@@ -41,10 +40,6 @@ class Hits(NamedTuple):
     def valid(self) -> Bools:
         """(n,) whether anything was met."""
         return self.face >= 0
-
-    def take(self, rows: Ints) -> Hits:
-        """The hits of the rays whose indices are in `rows`."""
-        return Hits(self.face[rows], self.position[rows], self.normal[rows])
 
 
 class Raycaster:
@@ -87,7 +82,7 @@ class Raycaster:
     def _met(self, origins: Floats, directions: Floats) -> NDArray[np.int32]:
         """(n,) first triangle along each ray, −1 for none, of rays in metres."""
         face = np.empty(len(directions), np.int32)
-        for batch in _batches(len(directions)):
+        for batch in in_calls(len(directions), 8):
             face[batch] = self._embree.run(
                 self._scaled(origins[batch]), directions[batch].astype(np.float32), query="INTERSECT"
             )
@@ -101,7 +96,7 @@ class Raycaster:
         """(n,) whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)
         origins = np.broadcast_to(origins, targets.shape)
-        for batch in _batches(len(targets)):
+        for batch in in_calls(len(targets), 8):
             # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
             o = self._scaled(origins[batch])
             hidden[batch] = self.occluded_scaled(o, self._scaled(targets[batch]) - o)
@@ -126,12 +121,6 @@ def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
         np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
         np.float32((p[2] + offset * n[2] - scale[2]) / scale[3]),
     )
-
-
-def _batches(rays: int) -> Iterator[slice]:
-    """Slices of as many rays as are in memory at once."""
-    at_once = VALUES_AT_ONCE // 8
-    return (slice(start, start + at_once) for start in range(0, rays, at_once))
 
 
 @compiled()

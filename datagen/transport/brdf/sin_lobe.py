@@ -15,7 +15,7 @@ MEAN_SINE = 2.0 / math.pi
 """Mean of |sin θ| over all azimuths, used where the azimuth is undefined."""
 ALONG_SQUARED = 1e-12
 """Squared length of a projection on the surface below which its direction counts as rounding noise and the azimuth as
-undefined; half of it moves that limit to directions closer to the normal by 1/√2."""
+undefined."""
 
 
 def row(material: SinLobe) -> tuple[float, ...]:

@@ -45,7 +45,7 @@ MODELS = (
 )
 
 NARROWEST_ROW = 4
-"""Least number of columns of a table, enough for most models; half of it would only make some tables narrower."""
+"""Least number of columns of a table, enough for most models, so that kernels seldom meet another width."""
 
 
 class Materials(NamedTuple):
