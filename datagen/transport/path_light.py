@@ -42,7 +42,8 @@ def with_samples(problem: Problem) -> Estimate:
     of_rows = light.reshape(rows.count, *shape)
     return Estimate(
         {name: of_rows[rows.names[name]].sum(axis=0) for name in problem.components},
-        dict(zip(problem.parts, of_rows, strict=False)), np.sqrt(variance).reshape(shape), overflow.reshape(shape[:2]),
+        dict(zip(problem.parts, of_rows, strict=False)), np.sqrt(variance).reshape(shape),
+        overflow.reshape(shape[:2]),
         samplers=dict.fromkeys(problem.components, "paths"),
         rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
     )  # fmt: skip

@@ -17,7 +17,7 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
 from datagen.transport.geometry import TINY, corner, cross, get, put, subtract, transmittance
 from datagen.transport.path_aim import draw_triangle
-from datagen.transport.rays import lifted_and_scaled
+from datagen.transport.rays import lifted_and_scaled, write_shadow_ray
 from datagen.transport.sampling import BITS, word_of
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
@@ -223,10 +223,8 @@ def _write_ray(world, rays, k, of, goal, p, n, direction):  # type: ignore[no-un
 @compiled()
 def _write_shadow_ray(world, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
     """Write a ray between points p and q of surfaces with normals n and m to row k."""
-    # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
     a, b = lifted_and_scaled(p, n, world.offset, world.frame), lifted_and_scaled(q, m, world.offset, world.frame)
-    put(rays.origin, k, 0, a)
-    put(rays.direction, k, 0, subtract(b, a))
+    write_shadow_ray(rays.origin, rays.direction, k, a, b)
 
 
 @compiled()

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats
+from datagen.transport.geometry import put, subtract
 from datagen.transport.memory import in_calls
 
 SURFACE_OFFSET = 2e-6
@@ -121,6 +122,14 @@ def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
         np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
         np.float32((p[2] + offset * n[2] - scale[2]) / scale[3]),
     )
+
+
+@compiled()
+def write_shadow_ray(origin, span, k, a, b):  # type: ignore[no-untyped-def]
+    """Write the ray between points a and b, lifted and scaled, to row k of origins and spans (n, 3)."""
+    # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
+    put(origin, k, 0, a)
+    put(span, k, 0, subtract(b, a))
 
 
 @compiled()
