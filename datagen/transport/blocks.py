@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Bools, Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, cosine_directions, dot, evaluate, pdf, sample
 from datagen.transport.effort import REPLICATES, Floats32
@@ -520,16 +520,6 @@ def _carry(world, ends, x, onward, y, power):  # type: ignore[no-untyped-def]
             put(y.came_from, i, 0, (-v[0], -v[1], -v[2]))
 
 
-def _rows(record: Any, which: Ints) -> Any:
-    """Some rows of a record of arrays."""
-    return type(record)(*(np.ascontiguousarray(values[which]) for values in record))
-
-
-def _joined(*records: Any) -> Any:
-    """The rows of records of arrays, one after the other."""
-    return type(records[0])(*(np.concatenate(arrays) for arrays in zip(*records, strict=True)))
-
-
 def _chances(error: Floats) -> Floats:
     """Chances of which half are even and half in proportion to errors: where an error is far too low, an end weighs
     at most twice as much as without aim."""
@@ -604,7 +594,7 @@ class Blocks:
         leg *= self.problem.capture.time.origin == "source"
         back = np.broadcast_to(found.to_sensor, found.position.shape)
         arrays = found.position, found.normal, back, found.part, gain, leg, found.footprint
-        return Ends(*map(in_sets, arrays), np.empty(0))
+        return Ends._make([*map(in_sets, arrays), np.empty(0)])
 
 
 class BlocksOf:
@@ -671,7 +661,7 @@ class _Block:
         self.full, self.is_measuring = ({}, True) if full is None else (full, False)
         L, P = len(self.group.lasers), len(self.group.pixels)
         of_lasers, of_pixels = source.chances.get(group, (np.full(L, 1.0 / L), np.full(P, 1.0 / P)))
-        self.front = _rows(self.blocks.lasers, self.group.lasers)._replace(chance=of_lasers)
+        self.front = rows_of(self.blocks.lasers, self.group.lasers)._replace(chance=of_lasers)
         # The sets of a pixel are a lattice with a shift of its own: evenly spread, and each point uniform.
         number = np.arange(FOV_SETS)
         lattice = np.stack([number, 3 * number % FOV_SETS], axis=1) / FOV_SETS
@@ -680,20 +670,23 @@ class _Block:
 
     def run(self, last: int) -> None:
         """Add four bounces, or all orders from five to `last`."""
-        x, y = self.drawn(self.front), self.drawn(self.back)
-        x, y = self.lit(self.front, x), self.lit(self.back, y)
+        # Both are drawn before either is lit, in the order of their random numbers.
+        at_x, at_y = self.drawn(self.front), self.drawn(self.back)
+        x, y = self.lit(self.front, at_x), self.lit(self.back, at_y)
         onward = VERTICES // 2
         some = np.arange(onward)
-        on_from_x = _rows(x, some)
+        on_from_x = rows_of(x, some)
         from_x = self.onward(self.front, on_from_x)
         if last == 4:
+            # A path of four bounces has one x and one y: y is found from x, or x from y, or both are drawn.
             ys, landed = self.last_vertices(y, from_x)
-            from_y = self.onward(self.back, _rows(y, some))
-            xs = _joined(x, self.lit(self.front, from_y))
+            from_y = self.onward(self.back, rows_of(y, some))
+            xs = joined(x, self.lit(self.front, from_y))
             of_from_x = np.arange(VERTICES, len(ys.part))
             found = np.concatenate([some, landed, VERTICES + some]), np.append(of_from_x, some)
             self.join(4, onward, xs, VERTICES, ys, found)
             return
+        # With more bounces the y found from x is the next x; those drawn stay the last vertices of all orders.
         x = on_from_x
         for order in range(5, last + 1):
             x = self.next(x, onward, from_x, order)
@@ -741,7 +734,7 @@ class _Block:
         """Vertices y, those found from x, and once more those of the latter whose ray landed in a pixel; and which
         came once more."""
         row, landed = self.landed(from_x)
-        return _joined(y, self.lit(self.back, from_x), landed), row
+        return joined(y, self.lit(self.back, from_x), landed), row
 
     def landed(self, y: Vertices) -> tuple[Ints, Lit]:
         """Which vertices have a cosine-distributed ray that lands in a pixel, and these, lit from where it landed."""
@@ -753,10 +746,10 @@ class _Block:
         some = np.flatnonzero(_landings(y, z, row, found.footprint))
         row, pixel, n = row[some], pixel[some], len(some)
         # No other way finds them: the mixture has no such vertex, and light from the pixel is that of this z alone.
-        out = Lit.dark(_rows(y, row), len(self.group.pixels))
+        out = Lit.dark(rows_of(y, row), len(self.group.pixels))
         out = out._replace(came_from=direction[row], has_history=np.ones(n, np.bool_))
         if n:
-            ends = self.blocks.ends_of(_rows(found, some))._replace(chance=np.ones(1))
+            ends = self.blocks.ends_of(rows_of(found, some))._replace(chance=np.ones(1))
             unhidden = ~self.caster.occluded(sensor.position, ends.position + self.caster.offset_m * ends.normal)
             self.cost += n
             own, at = self.lit(ends, out.at), (np.arange(n), pixel)
@@ -773,7 +766,7 @@ class _Block:
             chance = np.clip(power / np.maximum(np.abs(x.light).sum(axis=1), TINY), *SURVIVAL)
             stays &= self.rng.random(len(power)) < chance
             light /= chance[:, None].astype(np.float32)
-        y = _rows(y, np.flatnonzero(stays))
+        y = rows_of(y, np.flatnonzero(stays))
         # A path is counted by its weight alone from here on: its density is 1, on the side that the light came to.
         side = np.stack([(y.light < 0).any(axis=1), (y.light > 0).any(axis=1)], axis=1).astype(float)
         return y._replace(density=y.light, mixed=side, has_history=np.ones(len(side), np.bool_))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats, Ints, rows_of
 from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 
@@ -200,7 +200,7 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
         few, many = sorted((_beside(triangles, ones, twos), _beside(triangles, twos, ones)), key=len)
         some = many[:: len(many) // MOST_LOOKED_AT + 1]
         calls = in_calls(len(some), 256 * len(few))
-        found = [_common(triangles.take(some[call]), triangles.take(few)) for call in calls]
+        found = [_common(rows_of(triangles, some[call]), rows_of(triangles, few)) for call in calls]
         places = np.concatenate([np.zeros((0, 3)), *found])
         if len(places):
             yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
@@ -249,10 +249,6 @@ class _Triangles(NamedTuple):
         inward /= np.linalg.norm(inward, axis=2, keepdims=True)
         return cls(corners, inward, np.einsum("nsk,nsk->ns", corners, inward))
 
-    def take(self, rows: Ints) -> _Triangles:
-        """Some of the triangles."""
-        return _Triangles(*(values[rows] for values in self))
-
     def heights(self, points: Floats) -> Floats:
         """(n, p, 3) how far inside of each side points (n, p, 3) lie."""
         return np.asarray(np.einsum("npk,nsk->nps", points, self.inward) - self.offset[:, None])
@@ -270,7 +266,7 @@ def _common(ones: _Triangles, twos: _Triangles) -> Floats:
     near = (ones.corners.min(axis=1)[:, None] < high) & (ones.corners.max(axis=1)[:, None] > low)
     # Few pairs of bounding boxes touch.
     i, j = np.nonzero(near.all(axis=2))
-    ones, twos = ones.take(i), twos.take(j)
+    ones, twos = rows_of(ones, i), rows_of(twos, j)
     of_ones, of_twos = twos.heights(ones.corners), ones.heights(twos.corners)
     # The polygon's corners are those of either triangle that lie in the other, and the crossings of their sides.
     ahead = _next(of_ones)

@@ -44,23 +44,16 @@ Floats32 = NDArray[np.float32]
 
 
 class Source(Protocol):
-    """Where sampled light comes from."""
+    """Where sampled light comes from.
 
-    @property
-    def histograms(self) -> list[Ints]:
-        """For each group the indices of its histograms."""
+    histograms : for each group the indices of its histograms. unit : photons that light is a multiple of. first :
+    blocks of each replicate and group in the pilot. can_blur : whether bins may be spread over boxes.
+    """
 
-    @property
-    def unit(self) -> float:
-        """Photons that light is a multiple of."""
-
-    @property
-    def first(self) -> int:
-        """Blocks of each replicate and group in the pilot."""
-
-    @property
-    def can_blur(self) -> bool:
-        """Whether bins may be spread over boxes."""
+    histograms: list[Ints]
+    unit: float
+    first: int
+    can_blur: bool
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add block `number` of a replicate to the light (H, T + 2) of a group, whose first and last column take what

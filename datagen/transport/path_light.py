@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,33 +49,25 @@ def with_samples(problem: Problem) -> Estimate:
     )  # fmt: skip
 
 
-@dataclass
 class PathsOf:
     """Plain paths of one component, a source for `effort.py`.
 
     parts : (K, H, T) light of the primary by part, of all blocks so far, where it is split by part. blocks : their
-    number.
+    number. samples : of each pair of laser point and pixel in a block.
     """
 
-    problem: Problem
-    component: str
-    first: int = 1
-    can_blur: bool = field(init=False)
-    unit: float = field(init=False)
-    parts: Floats | None = None
-    blocks: int = 0
+    first = 1
 
-    def __post_init__(self) -> None:
-        self.pairs = pairs_of(self.problem.capture)
-        self.histograms = [np.arange(len(self.pairs))]
-        self.rows = Rows.of_components(self.problem, (self.component,))
+    def __init__(self, problem: Problem, component: str) -> None:
+        self.problem, self.pairs = problem, pairs_of(problem.capture)
+        self.rows, self.histograms = Rows.of_components(problem, (component,)), [np.arange(len(self.pairs))]
         # About what a pixel collects of light of 1 W/m² at the wall: in this unit light has room in single precision.
-        self.unit = self.problem.capture.sensor.aperture_area_m2 * float(self.problem.cones.solid_angle.max())
+        self.unit = problem.capture.sensor.aperture_area_m2 * float(problem.cones.solid_angle.max())
+        self.samples = max(PILOT // max(len(self.pairs), 2), 1)
         # Parts have to add up to the whole.
         self.can_blur = self.rows.count == 1
-        self.samples = max(PILOT // max(len(self.pairs), 2), 1)
-        if not self.can_blur:
-            self.parts = np.zeros((self.rows.count, len(self.pairs), self.problem.capture.time.bins))
+        shape = self.rows.count, len(self.pairs), problem.capture.time.bins
+        self.parts, self.blocks = None if self.can_blur else np.zeros(shape), 0
 
     def light_of_parts(self) -> dict[str, Floats]:
         """Part → its light (H, T); empty where light is not split by part."""

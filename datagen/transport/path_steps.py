@@ -7,16 +7,16 @@ light, so rows get fewer; `sample` and `of` say where a row belongs.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints, R
 from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
 from datagen.transport.geometry import TINY, corner, cross, get, put, subtract, transmittance
-from datagen.transport.path_aim import draw_triangle
+from datagen.transport.path_aim import Aim, draw_triangle
 from datagen.transport.rays import lifted_and_scaled, write_shadow_ray
 from datagen.transport.sampling import BITS, word_of
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
@@ -30,8 +30,6 @@ two the laser point within the cell of a beam. Later vertices have independent n
 gain little there."""
 NO_GOAL, NO_NORMAL = np.int64(-1), (0.0, 0.0, 0.0)
 """The goal of a ray that is not aimed at a triangle, and the normal at the end of a ray that lies on no surface."""
-
-R = TypeVar("R", bound=tuple)  # type: ignore[type-arg]
 
 
 class World(NamedTuple):
@@ -61,6 +59,21 @@ class World(NamedTuple):
     solid_angle: Floats
     footprints: Floats
     into: Floats
+
+
+class Samples(NamedTuple):
+    """n samples of a batch.
+
+    pixel : (n,). numbers : (n, DIMENSIONS) quasi-random numbers. seeds, number : (n,) those of later vertices come
+    from these. row : (n,) each sample's pair in `aim`, which says how pairs draw points by area.
+    """
+
+    pixel: Ints
+    numbers: Floats
+    seeds: NDArray[np.uint64]
+    number: Ints
+    row: Ints
+    aim: Aim
 
 
 class Vertices(NamedTuple):
@@ -140,12 +153,6 @@ def room(record: type[R], n: int) -> R:
 def head(record: R, n: int) -> R:
     """The first n rows of a record of arrays."""
     return type(record)(*(values[:n] for values in record))
-
-
-def some(record: R, which: Bools) -> R:
-    """The rows of a record of arrays for which `which` (n,) is true."""
-    rows = np.flatnonzero(which)
-    return type(record)(*(values.take(rows, axis=0) for values in record))
 
 
 @compiled()
@@ -370,16 +377,16 @@ def _place_on(corners, face, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untyped-def]
+def rays_to_second(world, samples, b, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from laser points b to first hidden vertices, drawn by area or by the BRDF; returns how
-    many. row : (n,) of each sample's pair in `aim`."""
-    count = 0
+    many."""
+    count, numbers = 0, samples.numbers
     for i in range(len(b.sample)):
         s, a = b.sample[i], _row(world, b, i)
         choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
         if choice < BY_AREA:
             # One number chooses way and triangle, so that its even spread serves both.
-            goal = draw_triangle(aim, row[s], choice / BY_AREA)
+            goal = draw_triangle(samples.aim, samples.row[s], choice / BY_AREA)
             place = _place_on(world.corners, goal, u, v)
             w = subtract(place, _along(a.position, world.offset, a.normal))
             put(rays.place, count, 0, place)
@@ -392,17 +399,17 @@ def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untype
 
 
 @compiled()
-def rays_onward(world, x, numbers, seeds, number, order, rays):  # type: ignore[no-untyped-def]
+def rays_onward(world, samples, x, order, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices x, the last before the FoV point of paths of `order` bounces, drawn by their
     BRDFs; returns how many."""
     count = 0
     for i in range(len(x.sample)):
         s, a = x.sample[i], _row(world, x, i)
         if order == 3:
-            u, v = numbers[s, 7], numbers[s, 8]
+            u, v = samples.numbers[s, 7], samples.numbers[s, 8]
         else:
-            u = _independent(seeds[s], number[s], 3 * order + 1)
-            v = _independent(seeds[s], number[s], 3 * order + 2)
+            u = _independent(samples.seeds[s], samples.number[s], 3 * order + 1)
+            v = _independent(samples.seeds[s], samples.number[s], 3 * order + 2)
         w = _drawn(world, a, u, v)
         if dot(a.normal, w) > 0.0:
             _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
@@ -452,13 +459,13 @@ def _lit(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+def arrived(world, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
     """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
     the row of the b of each; returns how many.
 
     second : whether these are vertices x₂. returning : whether rays are aimed at vertices that FoV points see.
     """
-    count, values, part = 0, world.values, world.part
+    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
     for k in range(len(faces)):
         i, face, goal = rays.of[k], np.int64(faces[k]), rays.goal[k]
         # A place drawn by area counts only if its own triangle is met first, so that of two triangles that coincide
@@ -517,19 +524,16 @@ def _photons(values, x, v, solid_angle, by_area, order):  # type: ignore[no-unty
 
 
 @compiled()
-def joined(world, aim, row, x, v, pixel, order, found, rays):  # type: ignore[no-untyped-def]
+def joined(world, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of `order` bounces from vertices x to the FoV points v of their samples, and rays with
-    a shadow ray for each; returns how many.
-
-    row, pixel : (n,) of each sample, its pair's row in `aim` and its pixel.
-    """
-    count, values, part = 0, world.values, world.part
+    a shadow ray for each; returns how many."""
+    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
     for i in range(len(x.sample)):
         s = x.sample[i]
         if v.power[s] > 0.0:
             a, c = _row(world, x, i), _row(world, v, s)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            photons, r = _photons(values, a, c, world.solid_angle[pixel[s]], by_area, order)
+            photons, r = _photons(values, a, c, world.solid_angle[samples.pixel[s]], by_area, order)
             if photons > 0.0:
                 path = a.path + r + c.path * world.from_source
                 photons *= transmittance(world.attenuation, r)
@@ -540,13 +544,12 @@ def joined(world, aim, row, x, v, pixel, order, found, rays):  # type: ignore[no
 
 
 @compiled()
-def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignore[no-untyped-def]
+def landed(world, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
     `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
     """
-    count, values, part = 0, world.values, world.part
-    planes, footprints, into = world.planes, world.footprints, world.into
-    sensor = world.sensor
+    count, values, part, aim, row, pixel = 0, world.values, world.part, samples.aim, samples.row, samples.pixel
+    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
     for k in range(len(of)):
         s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
         back, leg = _toward(c.position, sensor)
@@ -571,12 +574,11 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
 
 
 @compiled()
-def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
+def one_bounce(world, samples, x, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them;
     and rays with a shadow ray from the sensor for each; returns how many."""
-    count, values = 0, world.values
-    planes, footprints, into = world.planes, world.footprints, world.into
-    sensor = world.sensor
+    count, values, pixel = 0, world.values, samples.pixel
+    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
     for i in range(len(x.sample)):
         s, a = x.sample[i], _row(world, x, i)
         w, leg = _toward(a.position, sensor)

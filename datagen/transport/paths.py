@@ -32,13 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
-from datagen.transport.path_steps import Found, Rays, Vertices, World, head, room, some
+from datagen.transport.path_steps import Found, Rays, Samples, Vertices, World, head, room
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import Paths, dots
 from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, sobol_points, stream_seeds
@@ -65,10 +65,11 @@ class _Batch:
 
     def __init__(self, tracer: Tracer, first: int, last: int) -> None:
         self.tracer, self.world, self.caster, self.room = tracer, tracer.world, tracer.caster, tracer.room
-        pair, self.number = np.divmod(np.arange(first, last), tracer.samples)
-        self.laser, self.pixel = tracer.pairs[pair].T.copy()
-        self.later, self.numbers = tracer.later[pair], sobol_points(tracer.seeds[pair], self.number, steps.DIMENSIONS)
-        self.row, self.aim = pair - pair[0], tracer.aimed(tracer.pairs[pair[0] : pair[-1] + 1])
+        pair, number = np.divmod(np.arange(first, last), tracer.samples)
+        self.laser, pixel = tracer.pairs[pair].T.copy()
+        numbers = sobol_points(tracer.seeds[pair], number, steps.DIMENSIONS)
+        aim = tracer.aimed(np.arange(pair[0], pair[-1] + 1))
+        self.samples = Samples(pixel, numbers, tracer.later[pair], number, pair - pair[0], aim)
 
     def met(self, rays: Rays) -> NDArray[np.int32]:
         """The first triangle (n,) along each ray, −1 for none."""
@@ -77,7 +78,7 @@ class _Batch:
     def unhidden(self, count: int) -> Found:
         """The first `count` paths, without those whose shadow ray meets something."""
         rays = head(self.room.rays, count)
-        return some(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
+        return rows_of(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
 
     def laser_points(self) -> Vertices:
         """The laser points x₁ of the samples whose laser ray meets a surface."""
@@ -85,14 +86,14 @@ class _Batch:
         if laser.cells is not None:
             # Where a beam states its cells, a laser point is anywhere in its own.
             a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
-            u, v = self.numbers[:, 9:10], self.numbers[:, 10:11]
+            u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
             points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
         return head(self.room.turn[2], steps.begun(self.world, points, number, self.room.turn[2]))
 
     def beside(self, v: Vertices) -> Vertices:
         """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
         light; its triangle is −1 for none."""
-        rays = head(self.room.rays, steps.rays_back(self.world, v, self.numbers, self.room.rays))
+        rays = head(self.room.rays, steps.rays_back(self.world, v, self.samples.numbers, self.room.rays))
         steps.seen_from(self.world, v, rays, self.met(rays), self.room.beside)
         return self.room.beside
 
@@ -101,15 +102,13 @@ class _Batch:
         `count` rays, and the row of the b of each."""
         rays, x = head(self.room.rays, count), self.room.back if returning else self.room.turn[(order + 1) % 3]
         faces, of = self.met(rays), self.room.of
-        count = steps.arrived(self.world, self.aim, self.row, b, rays, faces, order == 2, returning, x, of)
+        count = steps.arrived(self.world, self.samples, b, rays, faces, order == 2, returning, x, of)
         return head(x, count), of[:count]
 
     def join(self, x: Vertices, v: Vertices, order: int) -> int:
         """Number of paths of `order` bounces from vertices x to the FoV points drawn from the pixel; they and their
         shadow rays are in the room."""
-        return int(steps.joined(
-            self.world, self.aim, self.row, x, v, self.pixel, order, self.room.found, self.room.rays
-        ))  # fmt: skip
+        return int(steps.joined(self.world, self.samples, x, v, order, self.room.found, self.room.rays))
 
     def back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
         """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
@@ -120,29 +119,29 @@ class _Batch:
     def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
         """The next vertices that the vertices x of `order` light, and the row of the x of each."""
         if order == 2:
-            count = steps.rays_to_second(self.world, self.aim, self.row, x, self.numbers, self.room.rays)
+            count = steps.rays_to_second(self.world, self.samples, x, self.room.rays)
         else:
-            count = steps.rays_onward(self.world, x, self.numbers, self.later, self.number, order, self.room.rays)
+            count = steps.rays_onward(self.world, self.samples, x, order, self.room.rays)
         return self.arrived(x, count, order, False)
 
     def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
         """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
         found, rays = self.room.found, self.room.rays
-        return self.unhidden(steps.landed(self.world, self.aim, self.row, x, y, of, self.pixel, order, found, rays))
+        return self.unhidden(steps.landed(self.world, self.samples, x, y, of, order, found, rays))
 
     def one_bounce(self, x: Vertices) -> Found:
         """Paths of one bounce: the laser points x themselves where the pixel sees them."""
-        return self.unhidden(steps.one_bounce(self.world, x, self.pixel, self.room.found, self.room.rays))
+        return self.unhidden(steps.one_bounce(self.world, self.samples, x, self.room.found, self.room.rays))
 
     def survivors(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Vertices:
         """Russian roulette: some of the vertices y, with more power, so that paths end."""
         stays = np.clip(y.power / x.power[of], *SURVIVAL)
-        drawn = steps.later_numbers(self.later[y.sample], self.number[y.sample], order)
-        return some(y._replace(power=y.power / stays), drawn < stays)
+        drawn = steps.later_numbers(self.samples.seeds[y.sample], self.samples.number[y.sample], order)
+        return rows_of(y._replace(power=y.power / stays), drawn < stays)
 
     def paths(self, max_bounces: int | None, direct: bool) -> Iterator[tuple[int, Found]]:
         """All paths of the batch, by order and way."""
-        x, v = self.laser_points(), self.tracer.fov_points(self.pixel, self.numbers)
+        x, v = self.laser_points(), self.tracer.fov_points(self.samples.pixel, self.samples.numbers)
         if direct:
             yield 1, self.one_bounce(x)
         order, b, h = 2, x, v
@@ -205,8 +204,8 @@ class Tracer:
                 yield first, order, found
 
     def aimed(self, pairs: Ints) -> Aim:
-        """How pairs (n, 2) draw points by area."""
-        laser, pixel = pairs.T.copy()
+        """How some pairs (n,) draw points by area."""
+        laser, pixel = self.pairs[pairs].T.copy()
         v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
         x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
         x = x._replace(power=x.power * (number >= 0))
@@ -277,4 +276,4 @@ def sample_paths(
             sample // samples, sample, np.full(len(sample), order), new.part.copy(), new.path.copy(),
             new.photons.copy(),
         ))  # fmt: skip
-    return Paths.joined(found)
+    return joined(*found)

@@ -67,8 +67,7 @@ class Raycaster:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
         # A copy, so that `_refine` is compiled for one layout.
         origins = np.array(np.broadcast_to(origins, directions.shape), order="C")
-        face = self._met(origins, directions)
-        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
+        return self._hits(origins, origins, directions)
 
     def leaving(self, positions: Floats, normals: Floats, directions: Floats) -> Hits:
         """First surface along rays that leave a surface: positions (n, 3) on it, unit normals and directions (n, 3).
@@ -77,17 +76,14 @@ class Raycaster:
         is computed from `positions` themselves. So hits have the density of rays from there, even at the foot of a
         wall that is nearer than the rays are lifted, and no light that leaves a point beside an edge is lost.
         """
-        face = self._met(positions + self.offset_m * normals, directions)
-        return Hits(face, *_refine(face, positions, directions, self.corners, self.face_normal))
+        return self._hits(positions + self.offset_m * normals, positions, directions)
 
-    def _met(self, origins: Floats, directions: Floats) -> NDArray[np.int32]:
-        """(n,) first triangle along each ray, −1 for none, of rays in metres."""
+    def _hits(self, starts: Floats, origins: Floats, directions: Floats) -> Hits:
+        """Hits from origins (n, 3), of triangles that are met from `starts`; all in metres."""
         face = np.empty(len(directions), np.int32)
         for batch in in_calls(len(directions), 8):
-            face[batch] = self._embree.run(
-                self._scaled(origins[batch]), directions[batch].astype(np.float32), query="INTERSECT"
-            )
-        return face
+            face[batch] = self.closest_scaled(self._scaled(starts[batch]), directions[batch].astype(np.float32))
+        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
 
     def closest_scaled(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
         """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""

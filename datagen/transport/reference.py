@@ -29,11 +29,13 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records import Capture, Laser, Scene, Transient
 from datagen.records.accuracy import MAX_BOUNCES
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.coincidence import set_apart
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
+from datagen.transport.geometry import TINY
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 from datagen.transport.sampling import stream_seeds
@@ -63,15 +65,6 @@ class Paths(NamedTuple):
     part: Ints
     path_m: Floats
     photons: Floats
-
-    def take(self, which: Ints | Bools) -> Paths:
-        """The paths of some rows."""
-        return Paths._make(values[which] for values in self)
-
-    @classmethod
-    def joined(cls, several: list[Paths]) -> Paths:
-        """All paths of a list, one after the other."""
-        return cls._make(np.concatenate(values) for values in zip(*several, strict=True))
 
 
 @compiled()
@@ -171,8 +164,8 @@ def plain_paths(
         # Russian roulette: half of the paths go on, with twice the power.
         if max_bounces is None and order > 4:
             power = power * (rng.random(count) < 0.5) / 0.5
-    every = Paths.joined(found)
-    return every.take(every.photons > 0)
+    every = joined(*found)
+    return rows_of(every, every.photons > 0)
 
 
 def _targets(laser: Laser, number: Ints, rng: np.random.Generator) -> Floats:
@@ -191,7 +184,7 @@ def _between(caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats) 
     """
     span = y - x
     r = np.linalg.norm(span, axis=1)
-    w = span / np.maximum(r, 1e-300)[:, None]
+    w = span / np.maximum(r, TINY)[:, None]
     cosines = np.maximum(dots(n_x, w), 0.0) * np.maximum(-dots(n_y, w), 0.0)
     visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y)
     return w, r, np.divide(cosines, r**2, where=r > 0, out=np.zeros_like(r)) * visible
@@ -252,13 +245,14 @@ def reference(
     by_row = light.reshape(rows, *shape)
     scatter = np.maximum(squares - by_row.sum(axis=0).ravel() ** 2 / replicates, 0.0)
     stderr = np.sqrt(scatter * replicates / (replicates - 1)) if replicates > 1 else np.full(values, np.nan)
+    points = LaserPoints.of(caster, scene, capture.laser).position
     last = MAX_BOUNCES if max_bounces is None else max_bounces
     requested = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
     found = {"direct": by_row[parts], "primary": by_row[:parts].sum(axis=0), "secondary": by_row[parts + 1],
              "higher": by_row[parts + 2]}  # fmt: skip
     return Transient(
         axis, {name: found[name] for name in found if requested[name]}, dict(zip(scene.part_names, by_row,
-        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
+        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), points,
     )  # fmt: skip
 
 
@@ -271,9 +265,3 @@ def pairs_of(capture: Capture) -> Ints:
     if capture.pairing == "confocal":
         return np.stack([np.arange(lasers), np.arange(lasers)], axis=1)
     return np.stack(np.divmod(np.arange(lasers * pixels), pixels), axis=1)
-
-
-def laser_points(caster: Raycaster, capture: Capture) -> Floats:
-    """(L, 3) points where the laser's rays first meet the scene, NaN for rays that meet nothing."""
-    hits = caster.closest(capture.laser.position, capture.laser.targets - capture.laser.position)
-    return np.where(hits.valid[:, None], hits.position, np.nan)
