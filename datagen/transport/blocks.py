@@ -206,6 +206,7 @@ def _rays(world, ends, u, origin, normal, direction):  # type: ignore[no-untyped
     """
     found = np.zeros(len(u), np.bool_)
     for i in range(len(u)):
+        # Ends that do not exist are drawn, too, and send nothing: the densities count them with 0.
         e, run = 0, ends.chance[0]
         while run < u[i, 0] and e < len(ends.chance) - 1:
             e += 1
@@ -236,6 +237,7 @@ def _rays_onward(world, ends, x, u, normal, direction):  # type: ignore[no-untyp
             continue
         n, a = get(x.normal, i, 0), get(x.came_from, i, 0)
         if not x.has_history[i]:
+            # The last end with a density stands in where rounding leaves the sum below what is wanted.
             e, run = -1, 0.0
             for j in range(x.density.shape[1]):
                 run += ends.chance[j] * abs(x.density[i, j])
@@ -325,6 +327,7 @@ def _sent_toward(world, ends, x, i, v, side, out):  # type: ignore[no-untyped-de
     if side == 0:
         n = (-n[0], -n[1], -n[2])
     if x.has_history[i]:
+        # All light comes from one direction, so that one BRDF serves all ends.
         a = get(x.came_from, i, 0)
         on_this_side = dot(n, a) > 0
         f = evaluate(k, row, n, a, v) if on_this_side else 0.0
@@ -467,6 +470,7 @@ def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram): 
     time_x, time_y = x.path * np.float32(world.per_metre), y.path * np.float32(world.per_metre)
     sent_x, simple_x = _sent_by_lambertian(world.kind, world.values, x.part, x.light)
     sent_y, simple_y = _sent_by_lambertian(world.kind, world.values, y.part, y.light)
+    # Few vertices are so near to a pixel that a ray of theirs might land in it.
     touches = np.array([row.max() > 0.0 for row in y.landing])
     for k in range(len(hidden)):
         i, j = pairs[0, k], pairs[1, k]
@@ -478,6 +482,7 @@ def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram): 
         chance = _guess(sketches[0], sketches[1], i, j, odds.draws, onward) / odds.full
         onto_y, onto_x = abs(up) / math.pi * x.mixed[i, side_x], abs(down) / math.pi * y.mixed[j, side_y]
         from_x, from_y = sent_x[i, side_x], sent_y[j, side_y]
+        # Lambertian vertices, most of all, need no BRDF for each end.
         if not simple_x[i]:
             onto_y, from_x = _sent_toward(world, front, x, i, v, side_x, own_x), own_x
         if not simple_y[j]:
@@ -507,6 +512,7 @@ def _carry(world, ends, x, onward, y, power):  # type: ignore[no-untyped-def]
     sets power (n,) to the sum of their light."""
     sent = np.empty(y.light.shape[1], np.float32)
     for i in range(len(y.part)):
+        # The ray met nothing, or there was none.
         if y.part[i] < 0:
             continue
         v, r = _toward(get(x.position, i, 0), get(y.position, i, 0))

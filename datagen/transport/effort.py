@@ -24,7 +24,7 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints, l2_norm
 
 REPLICATES = 8
-"""Independent replicates. From half as many, errors are known to a third instead of a fifth."""
+"""Independent replicates, from which errors are known to a fifth."""
 WIDTHS = np.array([1, 3, 5, 9, 17])
 """Widths of boxes, in bins."""
 WINDOW, WINDOW_BINS = 600, (12, 64)

@@ -19,9 +19,6 @@ from datagen.transport.brdf import dot, evaluate, widen
 from datagen.transport.geometry import TINY, distance, get, subtract
 from datagen.transport.rays import Raycaster
 
-EVENLY = 0.25
-"""Share of a part's points that are drawn evenly over its area in spite of the guesses. Where a guess is far too low,
-a point then weighs four times as much as without guesses at most."""
 GUESSES_PER_SAMPLE = 8
 """Guesses made for each sample at most, which then take as long as the rest of it. Points are drawn evenly over
 meshes with more triangles."""
@@ -189,8 +186,9 @@ def _share_by_guesses(aim, world, x, v, size, area, radius, density, share):  # 
                 total, whole = total + light * area[f], whole + area[f]
             running = 0.0
             for j in range(count):
-                # By the far tail of a lobe light may be too little to divide by.
+                # By the far tail of a lobe light may be too little to divide by. A quarter of the points are drawn
+                # evenly: where a guess is far too low, a point weighs at most four times as much as without guesses.
                 guessed = density[start + j] * whole / total if total > whole * 1e-300 else 1.0
-                density[start + j] = aim.chance[k] * (EVENLY + (1.0 - EVENLY) * guessed)
+                density[start + j] = aim.chance[k] * (0.25 + 0.75 * guessed)
                 running += density[start + j] * area[aim.triangles[first + j]]
                 share[start + j] = running

@@ -17,7 +17,6 @@ from datagen.transport.brdf.table import (
     PHONG,
     RETROREFLECTOR,
     SIN_LOBE,
-    Materials,
     MaterialTable,
     lobe_width,
 )
@@ -31,7 +30,6 @@ __all__ = [
     "RETROREFLECTOR",
     "SIN_LOBE",
     "MaterialTable",
-    "Materials",
     "Vector",
     "albedo",
     "cosine_directions",
