@@ -204,7 +204,7 @@ def aperture_area(capture: Capture, distance: Floats) -> Floats:
 
 def reference(
     scene: Scene, capture: Capture, *, samples: int = 4096, replicates: int = 8, max_bounces: int | None = 3,
-    direct: bool = False, seed: int = 0, caster: Raycaster | None = None, draw: Callable[..., Paths] = plain_paths,
+    direct: bool = False, seed: int = 0, draw: Callable[..., Paths] = plain_paths,
 ) -> Transient:  # fmt: skip
     """The transient (L, P, T) of a capture by its definition, by component and part, with standard errors.
 
@@ -212,9 +212,8 @@ def reference(
         the standard error. draw : function that draws the paths: `plain_paths`, or `paths.sample_paths`,
         which has the same arguments and the same mean with far less noise. The other arguments are those of `draw`.
     """
-    if caster is None:
-        scene = set_apart(scene, capture).scene
-        caster = Raycaster(scene)
+    apart = set_apart(scene, capture)
+    scene, caster = apart.scene, apart.caster
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
     pairs = pairs_of(capture)
     # A flood is the weighted mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.
