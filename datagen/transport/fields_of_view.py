@@ -174,33 +174,13 @@ def _pool(
     sensor: Sensor, position: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats,
     solid_angle: Floats, each: int,
 ) -> FovPool:  # fmt: skip
-    """FoV points from where lines of sight met something: `part` is −1 where they met nothing.
-
-    position, normal, direction : (P, Q, 3), of which `direction` is turned to the sensor in place. jacobian : (P, Q)
-    solid angles J. solid_angle : (P,) of the pixels. each : number M of points that stand for a whole pixel.
-
-    The effective area A of the aperture in f₃ E₃ A dΩ is that of a small aperture, or of a disc of finite size that
-    faces the point. From a point at distance R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over
-    which ∫ cosθ dω = π sin²α cosθ₀ exactly: the small-aperture value π a²/R² becomes π a²/(R² + a²).
-    """
-    # The position is undefined where nothing was met, and later loops must not meet a NaN.
-    position = np.where((part >= 0)[..., None], position, 0.0)
-    square, cosine = np.zeros(part.shape), np.zeros(part.shape)
-    # Axis by axis, as numpy is slow along axes of three.
-    for k in range(3):
-        square += (position[..., k] - sensor.position[k]) ** 2
-        cosine -= normal[..., k] * direction[..., k]
-    # Seen edge-on, a patch of wall of any size could lie behind the point's solid angle.
-    seen = (part >= 0) & (cosine > 0.0)
-    near = sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weight = sensor.aperture_area_m2 * square / (square + near) * jacobian / each
-        footprint = solid_angle[:, None] * square / (cosine * each)
-    np.negative(direction, out=direction)
-    return FovPool(
-        position, normal, direction, np.where(seen, part, -1), np.where(seen, weight, 0.0),
-        np.where(seen, footprint, 1.0), np.sqrt(square),
+    """FoV points from where lines of sight met something, as `_seen_points` describes it."""
+    position, weight, footprint, distance = _seen_points(
+        position, normal, part, direction, jacobian, sensor.position, solid_angle, sensor.aperture_area_m2,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
     )  # fmt: skip
+    np.negative(direction, out=direction)
+    return FovPool(position, normal, direction, part, weight, footprint, distance)
 
 
 @compiled()
@@ -234,3 +214,37 @@ def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
             for k in range(3):
                 direction[p, q, k] = w[k] / length
     return direction, jacobian
+
+
+@compiled()
+def _seen_points(
+    found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
+    solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,
+) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Position, weight, footprint and distance of each FoV point, as in `FovPool`.
+
+    `part` is set to −1 for surfaces that face away. The effective area A of the aperture in f₃ E₃ A dΩ is that of a
+    small aperture, or of a disc of finite size that faces the point (`aperture_square` > 0). From a point at distance
+    R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly:
+    the small-aperture value π a²/R² becomes π a²/(R² + a²).
+    """
+    weight, footprint, distance = np.zeros(part.shape), np.ones(part.shape), np.empty(part.shape)
+    position = found.copy()
+    for p in range(len(part)):
+        for q in range(part.shape[1]):
+            cosine = square = 0.0
+            for k in range(3):
+                # The position is undefined where nothing was met, and later loops must not meet a NaN.
+                if part[p, q] < 0:
+                    position[p, q, k] = 0.0
+                cosine -= normal[p, q, k] * direction[p, q, k]
+                square += (position[p, q, k] - sensor[k]) ** 2
+            distance[p, q] = math.sqrt(square)
+            # Seen edge-on, a patch of wall of any size could lie behind the point's solid angle.
+            if part[p, q] < 0 or cosine <= 0.0:
+                part[p, q] = -1
+                continue
+            effective = aperture_area * square / (square + aperture_square)
+            weight[p, q] = effective * jacobian[p, q] / points_per_vertex
+            footprint[p, q] = solid_angle[p] * square / (cosine * points_per_vertex)
+    return position, weight, footprint, distance
