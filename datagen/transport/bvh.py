@@ -9,27 +9,25 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
 LEAF, BINS, DEEPEST = 3, 12, 64
-"""Most triangles of a box that is not divided (half as many give twice the boxes); bins along a box's longest side,
-between which it is divided (half as many divide it less well); and level from which on boxes are divided by the
-number of their triangles alone, because stacks of loops over the tree have room for about twice this level (half of
-it divides meshes with triangles of very different sizes less well). Without the heuristic (halves along a
-space-filling curve) rooms take 1.15 to 1.34 times as long."""
+"""Most triangles of a box that is not divided; bins along a box's longest side, between which it is divided; and
+level from which on boxes are divided by the number of their triangles alone, because stacks of loops over the tree
+have room for about twice this level. With halves along a space-filling curve, rooms take 1.15 to 1.34 times as long.
+"""
 CLUSTER = 4
 """Triangles up to which a box is opened whatever its light, so that each triangle is a piece of its own, whose light
 cuts spread over the arrival times of its corners. It is at least `LEAF`, as a leaf has no boxes within."""
 SMALLEST = 1e-8
-"""Longest side of the smallest piece of a triangle that is cut, relative to the scene's largest side. Half of it
-allows one halving more, near the rounding error of coordinates."""
+"""Longest side of the smallest piece of a triangle that is cut, relative to the scene's largest side: far above the
+rounding error of coordinates."""
 ON_PLANE = 1e-9
-"""Distance from a plane, relative to the scene's largest side, below which a point lies on the plane. Half of it is
-nearer to the rounding error of coordinates."""
+"""Distance from a plane, relative to the scene's largest side, below which a point lies on the plane: far above the
+rounding error of coordinates."""
 
 
 class Hierarchy(NamedTuple):
@@ -64,61 +62,31 @@ class Hierarchy(NamedTuple):
     @classmethod
     def of(cls, scene: Scene) -> Hierarchy:
         """The BVH of a scene, built in time nearly linear in its triangles."""
-        order, box, children, span, roots = _boxes(scene.corners, scene.face_part, len(scene.part_names))
+        low, high = scene.corners.min(axis=1), scene.corners.max(axis=1)
+        orders, boxes, children, spans, roots = [], [], [], [], np.empty(len(scene.part_names), np.int64)
+        triangles = count = 0
+        for part in range(len(roots)):
+            faces = np.flatnonzero(scene.face_part == part)
+            # Each numpy function that a kernel calls is compiled with it: those that make and join arrays stay here.
+            own, most = np.arange(len(faces)), max(2 * len(faces), 1)
+            box, link = np.empty((most, 6)), np.zeros((most, 4), np.int64)
+            n = _divide(low[faces], high[faces], own, box, link)
+            roots[part] = count
+            orders.append(faces[own])
+            boxes.append(box[:n])
+            lower = link[:n, :1]
+            children.append(np.where(lower < 0, -1, count + lower + [0, 1]))
+            spans.append(triangles + link[:n, 1:3])
+            triangles, count = triangles + len(faces), count + n
+        order, span = np.concatenate(orders), np.concatenate(spans)
         corners = np.ascontiguousarray(scene.corners[order])
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
-        normal = doubled / length[:, None]
-        area = np.concatenate([[0.0], np.cumsum(length / 2)])
+        normal, area = doubled / length[:, None], np.concatenate([[0.0], np.cumsum(length / 2)])
         return cls(
-            corners,
-            normal,
-            area,
-            order,
-            box,
-            children,
-            span,
-            _cones(normal, area, span),
-            roots,
-            float(np.ptp(scene.vertices, axis=0).max()),
-        )
-
-
-def _boxes(corners: Floats, face_part: NDArray[np.integer], parts: int) -> tuple[Ints, Floats, Ints, Ints, Ints]:
-    """(F,) order of the triangles, those of one part and one box next to each other; and the fields `box`,
-    `children`, `span` and `roots` of `Hierarchy`.
-
-    corners : (F, 3, 3) of the triangles, metres. face_part : (F,) part of each. parts : number of parts.
-    """
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    orders, boxes, children, spans, roots = [], [], [], [], np.empty(parts, np.int64)
-    triangles = count = 0
-    for part in range(parts):
-        faces = np.flatnonzero(face_part == part)
-        order, box, below, span = boxes_over(low[faces], high[faces])
-        roots[part] = count
-        orders.append(faces[order])
-        boxes.append(box)
-        children.append(np.where(below < 0, -1, below + count))
-        spans.append(span + triangles)
-        triangles, count = triangles + len(faces), count + len(box)
-    joined = (np.concatenate(each) for each in (orders, boxes, children, spans))
-    return *joined, roots  # type: ignore[return-value]
-
-
-def boxes_over(low: Floats, high: Floats) -> tuple[Ints, Floats, Ints, Ints]:
-    """(F,) order of the triangles, those of one box next to each other; and the fields `box`, `children` and `span`
-    of `Hierarchy`. The first box holds all triangles.
-
-    low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres.
-    """
-    # Each numpy function that a kernel calls is compiled with it, again for each list of types: those that make and
-    # join arrays stay here.
-    order, most = np.arange(len(low)), max(2 * len(low), 1)
-    box, link = np.empty((most, 6)), np.zeros((most, 4), np.int64)
-    boxes = _divide(low, high, order, box, link)
-    box, first_half, span = box[:boxes], link[:boxes, 0], link[:boxes, 1:3]
-    return order, box, np.column_stack((first_half, np.where(first_half < 0, -1, first_half + 1))), span
+            corners, normal, area, order, np.concatenate(boxes), np.concatenate(children), span,
+            _cones(normal, area, span), roots, float(np.ptp(scene.vertices, axis=0).max()),
+        )  # fmt: skip
 
 
 @compiled()

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints
-from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.records.arrays import Floats, Ints, rows_of
+from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 
 PLANE, APART = 1e-6, 1e-7
@@ -32,18 +32,11 @@ of 10 m: more than the ends of shadow rays are lifted, so that the part below is
 CLEAR = 100.0
 """Distance to the nearest other surface, in units of `Raycaster.offset_m`, 1 mm in a room of 10 m, under which a
 place is not asked for light: rays of single precision may leak there."""
-SHORT_OF = 1e-3
-"""Share of a ray before its hit where the surface met is taken to be: far above rounding, and as near as makes no
-difference to what is seen from there."""
-PLACES, LOOKED_FROM, RAYS = 16, 16, 16
+LOOKS = 16
 """Most places of a shared plane where light is looked for, most laser points that it is looked for from, and rays
-from a place that meet surfaces which may pass it on. They decide about places that are lit at all; a shared surface
-of which a tenth is lit is still found with half of each."""
+from a place that meet surfaces which may pass it on: a shared surface of which a tenth is lit is found."""
 MOST_LOOKED_AT = 512
 """Most triangles of a part in a plane, of those beside the other part's, that are looked at: a plane may have 10⁵."""
-PAIRS_AT_ONCE, PLANES_AT_ONCE = VALUES_AT_ONCE // 256, VALUES_AT_ONCE // 8192
-"""Pairs of triangles that are compared at once, and shared planes whose rays are traced at once: each has so many
-numbers in memory."""
 
 
 @dataclass(frozen=True)
@@ -103,14 +96,12 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         return Apart(scene, caster, ())
     sources = _sources(caster, capture)
     shared.sort(key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
-    lit = [_lit(caster, shared[k : k + PLANES_AT_ONCE], sources) for k in range(0, len(shared), PLANES_AT_ONCE)]
+    # Each plane has rays to and from 16 places, and each place 16 rays.
+    lit = [_lit(caster, shared[some], sources) for some in in_calls(len(shared), 8192)]
     vertices, triangles = scene.vertices, np.array(scene.triangles)
     # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
-    level, moves, lying = (
-        np.zeros(len(triangles), np.int64),
-        list[tuple[int, Ints, Floats]](),
-        list[tuple[str, str]](),
-    )
+    level = np.zeros(len(triangles), np.int64)
+    moves, lying = list[tuple[int, Ints, Floats]](), list[tuple[str, str]]()
     for plane, (front, back) in zip(shared, np.concatenate(lit), strict=True):
         if not front + back:
             continue
@@ -131,10 +122,8 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
         used, index = np.unique(triangles[own], return_inverse=True)
         triangles[own] = (len(vertices) + index).reshape(-1, 3)
         # Vertices of its own, as those of a part below must stay.
-        vertices, shift = (
-            np.concatenate([vertices, vertices[used]]),
-            np.concatenate([shift, np.zeros((len(used), 3))]),
-        )
+        vertices = np.concatenate([vertices, vertices[used]])
+        shift = np.concatenate([shift, np.zeros((len(used), 3))])
     for _, rows, move in moves:
         used = np.unique(triangles[rows])
         length = float(np.linalg.norm(move))
@@ -148,7 +137,7 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
 def _sources(caster: Raycaster, capture: Capture) -> Floats:
     """(n, 3) places that light comes from or goes to: the device, and some laser points, lifted off their surface."""
     targets = capture.laser.targets
-    some = targets[np.linspace(0, len(targets) - 1, min(len(targets), LOOKED_FROM)).astype(int)]
+    some = targets[np.linspace(0, len(targets) - 1, min(len(targets), LOOKS)).astype(int)]
     hits = caster.closest(capture.laser.position, some - capture.laser.position)
     lifted = (hits.position + caster.offset_m * hits.normal)[hits.valid]
     return np.concatenate([lifted, capture.laser.position[None], capture.sensor.position[None]])
@@ -157,31 +146,32 @@ def _sources(caster: Raycaster, capture: Capture) -> Floats:
 def _lit(caster: Raycaster, shared: list[Shared], sources: Floats) -> Ints:
     """(plane, side) how many lines lead from shared planes to the sources of light, directly or by one surface in
     between; the first side is that of the plane's normal."""
-    some = [of.places[np.linspace(0, len(of.places) - 1, min(len(of.places), PLACES)).astype(int)] for of in shared]
+    some = [of.places[np.linspace(0, len(of.places) - 1, min(len(of.places), LOOKS)).astype(int)] for of in shared]
     plane = np.repeat(np.arange(len(shared)), [len(places) for places in some])
     normals = np.stack([of.normal for of in shared])[plane]
     side, up = np.concatenate([2 * plane, 2 * plane + 1]), np.concatenate([normals, -normals])
     starts = np.concatenate([*some, *some]) + 2.0 * caster.offset_m * up
-    origins = np.repeat(starts, RAYS, axis=0)
+    origins = np.repeat(starts, LOOKS, axis=0)
     hits = caster.closest(origins, _hemispheres(up).reshape(-1, 3))
     ways = np.where(hits.valid[:, None], hits.position - origins, np.inf)
     # Rays of a place at the very foot of another surface may begin beyond it.
-    is_clear = (np.linalg.norm(ways, axis=1) > CLEAR * caster.offset_m).reshape(-1, RAYS).all(axis=1)
-    passing = np.flatnonzero(hits.valid & np.repeat(is_clear, RAYS))
-    # A point of the ray just before its hit: one lifted off the surface may be outside of a solid, at its edge.
-    before = origins[passing] + (1.0 - SHORT_OF) * ways[passing]
+    is_clear = (np.linalg.norm(ways, axis=1) > CLEAR * caster.offset_m).reshape(-1, LOOKS).all(axis=1)
+    passing = np.flatnonzero(hits.valid & np.repeat(is_clear, LOOKS))
+    # A point of the ray just before its hit, by far more than rounding: one lifted off the surface may be outside of
+    # a solid, at its edge.
+    before = origins[passing] + 0.999 * ways[passing]
     # A place looks at all sources, a ray from there at one of them: the next place's ray at the next.
     of_start, of_source = np.divmod(np.arange(is_clear.sum() * len(sources)), len(sources))
-    ends = np.concatenate([sources[of_source], sources[(passing + passing // RAYS) % len(sources)]])
+    ends = np.concatenate([sources[of_source], sources[(passing + passing // LOOKS) % len(sources)]])
     is_hidden = caster.occluded(np.concatenate([starts[is_clear][of_start], before]), ends)
-    owner = np.concatenate([side[is_clear][of_start], side[passing // RAYS]])
+    owner = np.concatenate([side[is_clear][of_start], side[passing // LOOKS]])
     return np.bincount(owner[~is_hidden], minlength=2 * len(shared)).reshape(-1, 2)
 
 
 def _hemispheres(normals: Floats) -> Floats:
-    """(n, RAYS, 3) directions about normals (n, 3), evenly spread over heights and azimuths."""
-    height = (np.arange(RAYS) + 0.5) / RAYS
-    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(RAYS)
+    """(n, LOOKS, 3) directions about normals (n, 3), evenly spread over heights and azimuths."""
+    height = (np.arange(LOOKS) + 0.5) / LOOKS
+    angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(LOOKS)
     right = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     axes = np.stack([right, np.cross(normals, right), normals], axis=1)
@@ -209,9 +199,8 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
     for ones, twos in _in_one_plane(planes, part):
         few, many = sorted((_beside(triangles, ones, twos), _beside(triangles, twos, ones)), key=len)
         some = many[:: len(many) // MOST_LOOKED_AT + 1]
-        step = max(PAIRS_AT_ONCE // max(len(few), 1), 1)
-        batches = [some[k : k + step] for k in range(0, len(some), step)]
-        found = [_common(triangles.take(batch), triangles.take(few)) for batch in batches]
+        calls = in_calls(len(some), 256 * len(few))
+        found = [_common(rows_of(triangles, some[call]), rows_of(triangles, few)) for call in calls]
         places = np.concatenate([np.zeros((0, 3)), *found])
         if len(places):
             yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
@@ -245,10 +234,6 @@ def _in_one_plane(planes: Floats, part: NDArray[np.int32]) -> Iterator[tuple[Int
                     yield ones, twos
 
 
-NEXT = [1, 2, 0]
-"""The corner that follows each of a triangle's."""
-
-
 class _Triangles(NamedTuple):
     """Triangles of one plane, seen from one side. corners : (n, 3, 3), counter-clockwise. inward : (n, 3, 3) unit
     vectors across the sides, towards the inner one. offset : (n, 3) how far along them the sides lie."""
@@ -260,17 +245,18 @@ class _Triangles(NamedTuple):
     @classmethod
     def of(cls, corners: Floats, normal: Floats) -> _Triangles:
         """Triangles from their corners and normals (n, 3)."""
-        inward = np.cross(normal[:, None], corners[:, NEXT] - corners)
+        inward = np.cross(normal[:, None], _next(corners) - corners)
         inward /= np.linalg.norm(inward, axis=2, keepdims=True)
         return cls(corners, inward, np.einsum("nsk,nsk->ns", corners, inward))
-
-    def take(self, rows: Ints) -> _Triangles:
-        """Some of the triangles."""
-        return _Triangles(*(values[rows] for values in self))
 
     def heights(self, points: Floats) -> Floats:
         """(n, p, 3) how far inside of each side points (n, p, 3) lie."""
         return np.asarray(np.einsum("npk,nsk->nps", points, self.inward) - self.offset[:, None])
+
+
+def _next(of_corners: Floats) -> Floats:
+    """(n, 3, …) what belongs to the corner that follows each of a triangle's corners."""
+    return np.roll(of_corners, -1, axis=1)
 
 
 def _common(ones: _Triangles, twos: _Triangles) -> Floats:
@@ -280,13 +266,13 @@ def _common(ones: _Triangles, twos: _Triangles) -> Floats:
     near = (ones.corners.min(axis=1)[:, None] < high) & (ones.corners.max(axis=1)[:, None] > low)
     # Few pairs of bounding boxes touch.
     i, j = np.nonzero(near.all(axis=2))
-    ones, twos = ones.take(i), twos.take(j)
+    ones, twos = rows_of(ones, i), rows_of(twos, j)
     of_ones, of_twos = twos.heights(ones.corners), ones.heights(twos.corners)
     # The polygon's corners are those of either triangle that lie in the other, and the crossings of their sides.
-    ahead = of_ones[:, NEXT]
-    crosses = ((of_ones > 0) != (ahead > 0)) & ((of_twos > 0) != (of_twos[:, NEXT] > 0)).swapaxes(1, 2)
+    ahead = _next(of_ones)
+    crosses = ((of_ones > 0) != (ahead > 0)) & ((of_twos > 0) != (_next(of_twos) > 0)).swapaxes(1, 2)
     share = np.divide(of_ones, of_ones - ahead, out=np.zeros_like(of_ones), where=crosses)[..., None]
-    crossings = (1 - share) * ones.corners[:, :, None] + share * ones.corners[:, NEXT, None]
+    crossings = (1 - share) * ones.corners[:, :, None] + share * _next(ones.corners)[:, :, None]
     corners = np.concatenate([ones.corners, twos.corners, crossings.reshape(-1, 9, 3)], axis=1)
     inside = [(heights > -APART).all(axis=2) for heights in (of_ones, of_twos)]
     is_corner = np.concatenate([*inside, crosses.reshape(-1, 9)], axis=1)

@@ -24,13 +24,11 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints, l2_norm
 
 REPLICATES = 8
-"""Independent replicates. From half as many, errors are known to a third instead of a fifth."""
+"""Independent replicates, from which errors are known to a fifth."""
 WIDTHS = np.array([1, 3, 5, 9, 17])
 """Widths of boxes, in bins."""
 WINDOW, WINDOW_BINS = 600, (12, 64)
 """Values whose boxes have one width: histograms of a group times bins; and fewest and most of these bins."""
-RUNS = 2
-"""Most runs after the pilot."""
 GROWTH = 64
 """Most blocks of a run, in units of those before it: bounds the time of a scene whose light is not found."""
 AIM = 0.8
@@ -41,30 +39,21 @@ OWN, SHARE = 0.2, 0.3
 than `SHARE` of the whole error asked."""
 ROUGH = 0.1
 """Error of a pilot's energy from which on the pilot does not count: what remains is off by tenths of a per cent."""
-FAR = 2.0
-"""Error relative to the one asked from which on another sampler is tried."""
 
 Floats32 = NDArray[np.float32]
 
 
 class Source(Protocol):
-    """Where sampled light comes from."""
+    """Where sampled light comes from.
 
-    @property
-    def histograms(self) -> list[Ints]:
-        """For each group the indices of its histograms."""
+    histograms : for each group the indices of its histograms. unit : photons that light is a multiple of. first :
+    blocks of each replicate and group in the pilot. can_blur : whether bins may be spread over boxes.
+    """
 
-    @property
-    def unit(self) -> float:
-        """Photons that light is a multiple of."""
-
-    @property
-    def first(self) -> int:
-        """Blocks of each replicate and group in the pilot."""
-
-    @property
-    def can_blur(self) -> bool:
-        """Whether bins may be spread over boxes."""
+    histograms: list[Ints]
+    unit: float
+    first: int
+    can_blur: bool
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add block `number` of a replicate to the light (H, T + 2) of a group, whose first and last column take what
@@ -123,12 +112,12 @@ def sample_to_target(
     for unit in units:
         unit.run(unit.source.first)
         unit.source.aim(unit.group, np.sqrt(unit.variance.sum(axis=1)))
-    for turn in range(RUNS):
+    for is_first in (True, False):
         more = _effort(units, target, known, known_error)
         for unit, blocks in zip(units, more, strict=True):
             # A pilot that met little light by chance also sees little noise, and would be followed by few blocks.
             # Where that would matter, it only decides the effort and does not count.
-            unit.run(unit.restart() + blocks if turn == 0 and unit.is_rough else blocks)
+            unit.run(unit.restart() + blocks if is_first and unit.is_rough else blocks)
         if not any(more):
             break
     found = Sampled({}, {}, {}, {}, {})
@@ -146,8 +135,9 @@ def sample_to_target(
 
 
 def is_enough(error: float, own: float, whole: float, target: float) -> bool:
-    """Whether a component's L2 error is not far above what is asked; `own` and `whole` are L2 norms of light."""
-    return error <= FAR * max(OWN * own, SHARE * target * whole)
+    """Whether a component's L2 error is at most twice what is asked, so that no other sampler is tried; `own` and
+    `whole` are L2 norms of light."""
+    return error <= 2.0 * max(OWN * own, SHARE * target * whole)
 
 
 def _effort(units: list[_Unit], target: float, known: Floats, known_error: float) -> list[int]:

@@ -86,10 +86,6 @@ class PixelCones(NamedTuple):
                     )
         return cls(planes, np.abs(solid_angle))
 
-    def take(self, pixels: Ints) -> PixelCones:
-        """The cones of some pixels."""
-        return PixelCones(self.planes[pixels], self.solid_angle[pixels])
-
 
 def _triangle_solid_angle(a: Floats, b: Floats, c: Floats) -> Floats:
     """(P,) signed solid angles of triangles of unit vectors (van Oosterom & Strackee, IEEE TBME 30 (1983)), sr."""

@@ -9,6 +9,9 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.transport.brdf import dot
 
+TINY = 1e-200
+"""Distances, areas and densities below this are 0: far less than any that light has, and still safe to divide by."""
+
 
 @compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
 def subtract(a, b):  # type: ignore[no-untyped-def]

@@ -16,12 +16,8 @@ from datagen.records.arrays import Bools, Floats
 from datagen.transport.rays import Hits, Raycaster
 
 INWARD, INWARD_AT_LEAST_RAD = 1e-3, 2e-6
-"""How far the ray of a line of sight is moved towards its pixel's middle: fraction of the way there, and least angle,
-rad, some twenty roundings in single precision. With half of the angle, rays at corners of small pixels may miss the
-wall that the pixel sees."""
-LONGEST_REACH = 2.0
-"""Distance to the plane along a line of sight, relative to that along its ray, from which on the line only grazes the
-plane, so that the point that the ray met stands for it. Half of it rejects lines that do not graze at all."""
+"""How far the ray of a line of sight is moved towards its pixel's middle, so that rays at corners meet the wall that
+the pixel sees: fraction of the way there, and least angle, rad, some twenty roundings in single precision."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +64,9 @@ def lines_of_sight(caster: Raycaster, sensor: Sensor, along: int) -> LinesOfSigh
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = height / np.einsum("pqk,pqk->pq", normal, exact)
         inner_reach = height / np.einsum("pqk,pqk->pq", normal, inner)
-    # A line that hardly approaches the plane, or meets it behind the sensor, does not see it.
-    ahead = (reach > 0) & (reach < LONGEST_REACH * inner_reach)
+    # A line that meets the plane behind the sensor does not see it. One that meets it at twice the distance of its
+    # ray or more only grazes it: the point that the ray met stands for it.
+    ahead = (reach > 0) & (reach < 2.0 * inner_reach)
     position = np.where(ahead[..., None], sensor.position + np.where(ahead, reach, 0.0)[..., None] * exact, found)
     return LinesOfSight(position, inner, met)
 

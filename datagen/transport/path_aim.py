@@ -16,12 +16,9 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import dot, evaluate, widen
-from datagen.transport.geometry import distance, subtract
+from datagen.transport.geometry import TINY, distance, get, subtract
 from datagen.transport.rays import Raycaster
 
-EVENLY = 0.25
-"""Share of a part's points that are drawn evenly over its area in spite of the guesses. Where a guess is far too low,
-a point then weighs four times as much as without guesses at most."""
 GUESSES_PER_SAMPLE = 8
 """Guesses made for each sample at most, which then take as long as the rest of it. Points are drawn evenly over
 meshes with more triangles."""
@@ -86,7 +83,7 @@ def aim_of(caster: Raycaster, scene: Scene, planes: Floats, guesses: int) -> Aim
     share = np.empty(len(triangles))
     for k in range(parts):
         own = triangles[first[k] : first[k] + count[k]]
-        share[begin[k] : begin[k] + count[k]] = np.cumsum(caster.face_area_m2[own]) / max(area[k], 1e-300)
+        share[begin[k] : begin[k] + count[k]] = np.cumsum(caster.face_area_m2[own]) / max(area[k], TINY)
     return Aim(np.cumsum(chance), per_area, begin, stride, count, triangles, first, rank, density, share)
 
 
@@ -128,11 +125,15 @@ def draw_triangle(aim, row, number):  # type: ignore[no-untyped-def]
 
 
 @compiled(inline="always")
-def _guess(kinds, rows, x, n, v, m, back_x, back_v, middle, normal, radius, size, wide):  # type: ignore[no-untyped-def]
+def _guess(lit_from, seen_from, triangle, size, wide):  # type: ignore[no-untyped-def]
     """f₁ cosθ₁ |cosθ₂| / R₁² · f₂ · |cosθ₂′| cosθ₃ / R₃² · f₃ by way of the middle of a triangle, seen or not.
 
-    kinds, rows : kinds and rows of the materials at laser point, triangle and FoV point; `wide` is room for a row.
+    lit_from, seen_from : laser point and FoV point: kind and row of the material, position, normal, direction to the
+    device. triangle : kind and row, middle, normal, radius. size : half the width of the patch that the pixel sees.
+    wide : room for a row.
     """
+    (kind1, row1, x, n, back_x), (kind3, row3, v, m, back_v) = lit_from, seen_from
+    kind2, row2, middle, normal, radius = triangle
     d1, d3, r1, r3 = subtract(x, middle), subtract(v, middle), distance(x, middle), distance(v, middle)
     up1, up3 = dot(normal, d1), dot(normal, d3)
     # Surfaces transmit nothing: laser point and FoV point must lie on one side.
@@ -145,11 +146,11 @@ def _guess(kinds, rows, x, n, v, m, back_x, back_v, middle, normal, radius, size
     # by which mirror direction and direction to the pixel vary over triangle and patch. A loop, as `wide[:] = …`
     # would also compile the error message for arrays that do not fit.
     for j in range(len(wide)):
-        wide[j] = rows[1][j]
-    widen(kinds[1], wide, radius / r1 + (radius + size) / r3)
+        wide[j] = row2[j]
+    widen(kind2, wide, radius / r1 + (radius + size) / r3)
     back_1, back_3 = (-w1[0], -w1[1], -w1[2]), (-w3[0], -w3[1], -w3[2])
-    f = evaluate(kinds[1], wide, normal, w1, w3)
-    f *= evaluate(kinds[0], rows[0], n, back_x, back_1) * evaluate(kinds[2], rows[2], m, back_3, back_v)
+    f = evaluate(kind2, wide, normal, w1, w3)
+    f *= evaluate(kind1, row1, n, back_x, back_1) * evaluate(kind3, row3, m, back_3, back_v)
     cosines = max(-dot(n, w1), 0.0) * max(-dot(m, w3), 0.0) * abs(up1 * up3) / (r1 * r3)
     # A triangle counts as no nearer than its own size: rays by the BRDF find the light of nearer places.
     near = max(r1, radius) * max(r3, radius)
@@ -165,8 +166,8 @@ def _share_by_guesses(aim, world, x, v, size, area, radius, density, share):  # 
         if not (x.power[r] > 0.0 and v.power[r] > 0.0):
             continue
         p1, p3 = world.part[x.face[r]], world.part[v.face[r]]
-        a, n, back_a = x.position[r], x.normal[r], x.back[r]
-        c, m, back_c = v.position[r], v.normal[r], v.back[r]
+        lit_from = kind[p1], values[p1], get(x.position, r, 0), get(x.normal, r, 0), get(x.back, r, 0)
+        seen_from = kind[p3], values[p3], get(v.position, r, 0), get(v.normal, r, 0), get(v.back, r, 0)
         for k in range(len(aim.length)):
             if aim.stride[k] == 0:
                 continue
@@ -179,18 +180,15 @@ def _share_by_guesses(aim, world, x, v, size, area, radius, density, share):  # 
                     (corners[f, 0, 1] + corners[f, 1, 1] + corners[f, 2, 1]) / 3.0,
                     (corners[f, 0, 2] + corners[f, 1, 2] + corners[f, 2, 2]) / 3.0,
                 )
-                light = _guess(
-                    (kind[p1], kind[k], kind[p3]), (values[p1], values[k], values[p3]), (a[0], a[1], a[2]),
-                    (n[0], n[1], n[2]), (c[0], c[1], c[2]), (m[0], m[1], m[2]), (back_a[0], back_a[1], back_a[2]),
-                    (back_c[0], back_c[1], back_c[2]), middle, (normals[f, 0], normals[f, 1], normals[f, 2]),
-                    radius[f], size[r], wide,
-                )  # fmt: skip
+                triangle = kind[k], values[k], middle, get(normals, f, 0), radius[f]
+                light = _guess(lit_from, seen_from, triangle, size[r], wide)
                 density[start + j] = light
                 total, whole = total + light * area[f], whole + area[f]
             running = 0.0
             for j in range(count):
-                # By the far tail of a lobe light may be too little to divide by.
+                # By the far tail of a lobe light may be too little to divide by. A quarter of the points are drawn
+                # evenly: where a guess is far too low, a point weighs at most four times as much as without guesses.
                 guessed = density[start + j] * whole / total if total > whole * 1e-300 else 1.0
-                density[start + j] = aim.chance[k] * (EVENLY + (1.0 - EVENLY) * guessed)
+                density[start + j] = aim.chance[k] * (0.25 + 0.75 * guessed)
                 running += density[start + j] * area[aim.triangles[first + j]]
                 share[start + j] = running

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from datagen.records.arrays import Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.effort import REPLICATES, Floats32
-from datagen.transport.memory import VALUES_AT_ONCE
-from datagen.transport.paths import path_light
+from datagen.transport.memory import in_calls
+from datagen.transport.path_steps import add
+from datagen.transport.paths import Tracer
 from datagen.transport.problem import Estimate, Problem, component_of
 from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 
 PILOT = 1 << 13
-"""Paths of a pilot for each replicate, over all pairs of laser point and pixel, as far as each pair has one at
-least."""
-MOST_OF_A_PAIR = 1 << 12
-"""Most paths of a pair in a block."""
+"""Samples of a block, over all pairs of laser point and pixel; a pair has at least one, and at most half of them."""
 RAYS = 8.0
-"""Rays that a path of one order takes."""
+"""Rays that a sample takes for paths of one order, about: three ways with rays for vertices and shadow rays."""
 
 
 def with_samples(problem: Problem) -> Estimate:
@@ -31,63 +29,45 @@ def with_samples(problem: Problem) -> Estimate:
     replicates = min(REPLICATES, samples)
     each = [samples // replicates + (r < samples % replicates) for r in range(replicates)]
     pairs, rows = pairs_of(problem.capture), Rows.of_components(problem, problem.components)
-    light, overflow = np.zeros((rows.count, *shape)), np.zeros(shape[:2])
-    variance = np.zeros(shape)
-    of_pairs, over_of_pairs = light.reshape(rows.count, -1, shape[2]), overflow.reshape(-1)
-    variance_of_pairs = variance.reshape(-1, shape[2])
-    at_once = max(VALUES_AT_ONCE // (rows.count * shape[2]), 1)
-    for start in range(0, len(pairs), at_once):
-        some = np.arange(start, min(start + at_once, len(pairs)))
-        # Replicates of unequal size count by their size.
-        runs = np.stack([rows.light(problem, pairs[some], n, (0, r, start)) for r, n in enumerate(each)])
-        share = np.array(each)[:, None, None, None] / samples
-        of_pairs[:, some] = (share * runs[..., 1:-1]).sum(axis=0)
-        over_of_pairs[some] = (share * runs[..., (0, -1)]).sum(axis=(0, 1, 3))
+    light, overflow = np.zeros((rows.count, len(pairs), shape[2])), np.zeros(len(pairs))
+    variance = np.full((len(pairs), shape[2]), np.nan)
+    # Replicates of unequal size count by their size.
+    share = np.array(each)[:, None, None, None] / samples
+    for some in in_calls(len(pairs), rows.count * shape[2]):
+        runs = np.stack([rows.light(problem, pairs[some], n, (0, r, some.start)) for r, n in enumerate(each)])
+        light[:, some] = (share * runs[..., 1:-1]).sum(axis=0)
+        overflow[some] = (share * runs[..., (0, -1)]).sum(axis=(0, 1, 3))
         if replicates > 1:
-            variance_of_pairs[some] = runs[..., 1:-1].sum(axis=1).var(axis=0, ddof=1) / replicates
-        else:
-            variance_of_pairs[some] = np.nan
-    parts = dict(zip(problem.parts, light, strict=False))
-    found = rows.components(light)
+            variance[some] = runs[..., 1:-1].sum(axis=1).var(axis=0, ddof=1) / replicates
+    of_rows = light.reshape(rows.count, *shape)
     return Estimate(
-        {name: found[name] for name in problem.components}, parts, np.sqrt(variance), overflow,
+        {name: of_rows[rows.names[name]].sum(axis=0) for name in problem.components},
+        dict(zip(problem.parts, of_rows, strict=False)), np.sqrt(variance).reshape(shape),
+        overflow.reshape(shape[:2]),
         samplers=dict.fromkeys(problem.components, "paths"),
         rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
     )  # fmt: skip
 
 
-def _most(max_bounces: int | None, order: int) -> int | None:
-    """Most bounces of paths whose highest wanted order is `order`, where 5 stands for all beyond."""
-    return max_bounces if order == 5 else min(order, max_bounces or order)
-
-
-@dataclass
 class PathsOf:
     """Plain paths of one component, a source for `effort.py`.
 
     parts : (K, H, T) light of the primary by part, of all blocks so far, where it is split by part. blocks : their
-    number.
+    number. samples : of each pair of laser point and pixel in a block.
     """
 
-    problem: Problem
-    component: str
-    first: int = 1
-    can_blur: bool = field(init=False)
-    unit: float = field(init=False)
-    parts: Floats | None = None
-    blocks: int = 0
+    first = 1
 
-    def __post_init__(self) -> None:
-        self.pairs = pairs_of(self.problem.capture)
-        self.histograms = [np.arange(len(self.pairs))]
-        self.rows = Rows.of_components(self.problem, (self.component,))
+    def __init__(self, problem: Problem, component: str) -> None:
+        self.problem, self.pairs = problem, pairs_of(problem.capture)
+        self.rows, self.histograms = Rows.of_components(problem, (component,)), [np.arange(len(self.pairs))]
         # About what a pixel collects of light of 1 W/m² at the wall: in this unit light has room in single precision.
-        self.unit = self.problem.capture.sensor.aperture_area_m2 * float(self.problem.cones.solid_angle.max())
+        self.unit = problem.capture.sensor.aperture_area_m2 * float(problem.cones.solid_angle.max())
+        self.samples = max(PILOT // max(len(self.pairs), 2), 1)
         # Parts have to add up to the whole.
         self.can_blur = self.rows.count == 1
-        self.samples = int(np.clip(PILOT // len(self.pairs), 1, MOST_OF_A_PAIR))
-        if not self.can_blur:
-            self.parts = np.zeros((self.rows.count, len(self.pairs), self.problem.capture.time.bins))
+        shape = self.rows.count, len(self.pairs), problem.capture.time.bins
+        self.parts, self.blocks = None if self.can_blur else np.zeros(shape), 0
 
     def light_of_parts(self) -> dict[str, Floats]:
         """Part → its light (H, T); empty where light is not split by part."""
@@ -106,10 +86,9 @@ class PathsOf:
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add a block to the light (H, T + 2); returns its cost in shadow rays."""
-        at_once = max(VALUES_AT_ONCE // (self.rows.count * light.shape[1]), 1)
-        for start in range(0, len(self.pairs), at_once):
-            some = slice(start, start + at_once)
-            found = self.rows.light(self.problem, self.pairs[some], self.samples, (1, replicate, number, start))
+        for some in in_calls(len(self.pairs), self.rows.count * light.shape[1]):
+            stream = 1, replicate, number, some.start
+            found = self.rows.light(self.problem, self.pairs[some], self.samples, stream)
             light[some] += found.sum(axis=0) / self.unit
             if self.parts is not None:
                 self.parts[:, some] += found[..., 1:-1]
@@ -151,7 +130,9 @@ class Rows:
         # One bounce of a beam that states its cells is left to `flood.one_bounce_of_beam`.
         if problem.capture.laser.cells is not None:
             of[0] = -1
-        return cls(names, of, _most(problem.accuracy.max_bounces, last), "direct" in names)
+        # Row 5 stands for all orders beyond, too.
+        most = problem.accuracy.max_bounces
+        return cls(names, of, most if last == 5 else min(last, most or last), "direct" in names)
 
     @property
     def count(self) -> int:
@@ -164,12 +145,9 @@ class Rows:
         stream : numbers that tell this draw from others.
         """
         seed = int(stream_seeds(problem.seed, LightStream.PATHS, *stream)[0])
-        light = path_light(
-            problem.caster, problem.scene, problem.materials, problem.capture, pairs, samples, row_of=self.of,
-            rows=self.count, max_bounces=self.last, direct=self.direct, seed=seed,
-        )  # fmt: skip
-        return np.ascontiguousarray(light.swapaxes(0, 1))
-
-    def components(self, light: Floats) -> dict[str, Floats]:
-        """Component → light (…), from light (rows, …)."""
-        return {name: light[rows].sum(axis=0) for name, rows in self.names.items()}
+        time, capture = problem.capture.time, problem.capture
+        light = np.zeros((self.count, len(pairs), time.bins + 2))
+        tracer = Tracer(problem.caster, problem.scene, problem.materials, capture, pairs, samples, seed)
+        for first, order, found in tracer.paths(self.last, self.direct):
+            add(found, order, first, samples, self.of, time.start_s, time.width_s, light)
+        return light

@@ -7,18 +7,18 @@ light, so rows get fewer; `sample` and `of` say where a row belongs.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints, R
 from datagen.transport.brdf import Vector, dot, evaluate, pdf, sample
-from datagen.transport.geometry import cross, subtract, transmittance
-from datagen.transport.path_aim import draw_triangle
-from datagen.transport.rays import lifted_and_scaled
-from datagen.transport.sampling import BITS, mix, owen_scrambled, word_of
+from datagen.transport.geometry import TINY, corner, cross, get, put, subtract, transmittance
+from datagen.transport.path_aim import Aim, draw_triangle
+from datagen.transport.rays import lifted_and_scaled, write_shadow_ray
+from datagen.transport.sampling import BITS, word_of
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 BY_AREA = 0.5
@@ -28,12 +28,8 @@ DIMENSIONS = 11
 """Quasi-random numbers of a sample: two draw the FoV point, three x₂, two the ray back from the FoV point, two x₃,
 two the laser point within the cell of a beam. Later vertices have independent numbers, as quasi-random ones would
 gain little there."""
-SMALLEST = 1e-200
-"""Densities below this count as 0: far below any density with which a path is drawn, and still safe to divide by."""
-
 NO_GOAL, NO_NORMAL = np.int64(-1), (0.0, 0.0, 0.0)
-
-R = TypeVar("R", bound=tuple)  # type: ignore[type-arg]
+"""The goal of a ray that is not aimed at a triangle, and the normal at the end of a ray that lies on no surface."""
 
 
 class World(NamedTuple):
@@ -41,7 +37,7 @@ class World(NamedTuple):
 
     corners : (F, 3, 3), face_normal : (F, 3), part : (F,) of the triangles. kind, values : the `MaterialTable`.
     attenuation : of air, 1/m. offset : by which ends of rays are lifted off their surfaces, m. frame : (4,) embree's
-    centre and half extent, m. sensor : (3,) position. aperture_area, aperture_square : m²; the latter is the square
+    centre and half extent, m. sensor : position. aperture_area, aperture_square : m²; the latter is the square
     of the radius, or 0 for a small aperture. from_source : whether the legs of the device count for the time axis.
     planes, solid_angle : of the pixels' cones. footprints : (P, R, C) sensitivities within pixels, or one cell. into
     : (P, 3, 3) the matrix from a direction to its place in the pixel.
@@ -55,7 +51,7 @@ class World(NamedTuple):
     attenuation: float
     offset: float
     frame: Floats
-    sensor: Floats
+    sensor: Vector
     aperture_area: float
     aperture_square: float
     from_source: bool
@@ -63,6 +59,21 @@ class World(NamedTuple):
     solid_angle: Floats
     footprints: Floats
     into: Floats
+
+
+class Samples(NamedTuple):
+    """n samples of a batch.
+
+    pixel : (n,). numbers : (n, DIMENSIONS) quasi-random numbers. seeds, number : (n,) those of later vertices come
+    from these. row : (n,) each sample's pair in `aim`, which says how pairs draw points by area.
+    """
+
+    pixel: Ints
+    numbers: Floats
+    seeds: NDArray[np.uint64]
+    number: Ints
+    row: Ints
+    aim: Aim
 
 
 class Vertices(NamedTuple):
@@ -144,39 +155,6 @@ def head(record: R, n: int) -> R:
     return type(record)(*(values[:n] for values in record))
 
 
-def some(record: R, which: Bools) -> R:
-    """The rows of a record of arrays for which `which` (n,) is true."""
-    rows = np.flatnonzero(which)
-    return type(record)(*(values.take(rows, axis=0) for values in record))
-
-
-@compiled()
-def draw_numbers(words, seeds, number, out):  # type: ignore[no-untyped-def]
-    """Write scrambled Sobol' numbers (n, d) of samples: `number` (n,) is a sample's place in the sequence of its
-    pair, whose scrambling is that of `seeds` (n,). words : direction numbers of Sobol' sequences."""
-    for d in range(out.shape[1]):
-        x, seed, before = np.uint64(0), np.uint64(0), -2
-        for i in range(len(out)):
-            k = number[i]
-            if i == 0 or seeds[i] != seeds[i - 1]:
-                seed = mix(seeds[i], np.uint64(d + 1))
-            # In Gray-code order the next point differs by one direction number. Only the first sample of a batch or a
-            # pair needs all that its own code has.
-            if k == before + 1:
-                bit = 0
-                while (before >> bit) & 1:
-                    bit += 1
-                x ^= words[d, bit]
-            else:
-                x, code, bit = np.uint64(0), k ^ (k >> 1), 0
-                while code >> bit:
-                    if (code >> bit) & 1:
-                        x ^= words[d, bit]
-                    bit += 1
-            before = k
-            out[i, d] = (np.float64(owen_scrambled(x, seed)) + 0.5) * 2.0**-BITS
-
-
 @compiled()
 def _independent(seed, sample, which):  # type: ignore[no-untyped-def]
     """The pseudo-random number of a sample with the number `which`, in 0 … 1."""
@@ -190,24 +168,6 @@ def later_numbers(seeds, number, order):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         out[i] = _independent(seeds[i], number[i], 3 * order)
     return out
-
-
-@compiled()
-def _vector(rows, i):  # type: ignore[no-untyped-def]
-    """Row i of an array (n, 3) as a vector."""
-    return (rows[i, 0], rows[i, 1], rows[i, 2])
-
-
-@compiled()
-def _triple(row):  # type: ignore[no-untyped-def]
-    """A row of three numbers as a vector."""
-    return (row[0], row[1], row[2])
-
-
-@compiled()
-def _write(rows, i, v):  # type: ignore[no-untyped-def]
-    """Write the vector v to row i of an array (n, 3)."""
-    rows[i, 0], rows[i, 1], rows[i, 2] = v[0], v[1], v[2]
 
 
 @compiled()
@@ -227,7 +187,7 @@ def _toward(a, b):  # type: ignore[no-untyped-def]
     """The unit vector from point a to point b, and their distance; the vector is 0 for a distance of 0."""
     span = subtract(b, a)
     r = math.sqrt(dot(span, span))
-    s = 1.0 / max(r, 1e-300)
+    s = 1.0 / max(r, TINY)
     return (s * span[0], s * span[1], s * span[2]), r
 
 
@@ -240,7 +200,7 @@ def _vertex(world, face, position, normal, back, power, density, path):  # type:
 @compiled()
 def _row(world, x, i):  # type: ignore[no-untyped-def]
     """Row i of vertices x."""
-    position, normal, back = _vector(x.position, i), _vector(x.normal, i), _vector(x.back, i)
+    position, normal, back = get(x.position, i, 0), get(x.normal, i, 0), get(x.back, i, 0)
     return _vertex(world, x.face[i], position, normal, back, x.power[i], x.density[i], x.path[i])
 
 
@@ -248,9 +208,9 @@ def _row(world, x, i):  # type: ignore[no-untyped-def]
 def _write_vertex(x, k, sample, a):  # type: ignore[no-untyped-def]
     """Write vertex a of a sample to row k of vertices x."""
     x.sample[k], x.face[k], x.power[k], x.density[k], x.path[k] = sample, a.face, a.power, a.density, a.path
-    _write(x.position, k, a.position)
-    _write(x.normal, k, a.normal)
-    _write(x.back, k, a.back)
+    put(x.position, k, 0, a.position)
+    put(x.normal, k, 0, a.normal)
+    put(x.back, k, 0, a.back)
 
 
 @compiled()
@@ -263,17 +223,15 @@ def _write_path(found, k, sample, part, path, photons):  # type: ignore[no-untyp
 def _write_ray(world, rays, k, of, goal, p, n, direction):  # type: ignore[no-untyped-def]
     """Write a ray that leaves the point p of a surface with normal n to row k."""
     rays.of[k], rays.goal[k] = of, goal
-    _write(rays.origin, k, lifted_and_scaled(p, n, world.offset, world.frame))
-    _write(rays.direction, k, direction)
+    put(rays.origin, k, 0, lifted_and_scaled(p, n, world.offset, world.frame))
+    put(rays.direction, k, 0, direction)
 
 
 @compiled()
 def _write_shadow_ray(world, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
     """Write a ray between points p and q of surfaces with normals n and m to row k."""
-    # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
     a, b = lifted_and_scaled(p, n, world.offset, world.frame), lifted_and_scaled(q, m, world.offset, world.frame)
-    _write(rays.origin, k, a)
-    _write(rays.direction, k, subtract(b, a))
+    write_shadow_ray(rays.origin, rays.direction, k, a, b)
 
 
 @compiled()
@@ -291,27 +249,18 @@ def _drawn(world, a, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _meeting(corner, n, origin, direction):  # type: ignore[no-untyped-def]
-    """`_met` for a triangle with a corner and a normal."""
-    approach = dot(n, direction)
-    # Edge-on the plane gives no distance.
-    reach = dot(n, subtract(corner, origin)) / approach if approach != 0.0 else -1.0
-    if approach > 0.0:
-        n = _minus(n)
-    return _along(origin, reach, direction), n, 0.0 < reach < np.inf
-
-
-@compiled()
 def _met(world, face, origin, direction):  # type: ignore[no-untyped-def]
     """Where a ray meets the plane of a triangle; its normal, turned against the ray; whether the ray meets it.
 
     Only the triangle is embree's answer: the point is computed in double precision.
     """
-    c, o, d = (world.corners[face, 0, 0], world.corners[face, 0, 1], world.corners[face, 0, 2]), origin, direction
-    # The same types at every call, as each further one would be compiled apart.
-    return _meeting(
-        c, _vector(world.face_normal, face), o, (np.float64(d[0]), np.float64(d[1]), np.float64(d[2]))
-    )  # fmt: skip
+    n, w = get(world.face_normal, face, 0), (1.0 * direction[0], 1.0 * direction[1], 1.0 * direction[2])
+    approach = dot(n, w)
+    # Edge-on the plane gives no distance.
+    reach = dot(n, subtract(corner(world.corners, face, 0), origin)) / approach if approach != 0.0 else -1.0
+    if approach > 0.0:
+        n = _minus(n)
+    return _along(origin, reach, w), n, 0.0 < reach < np.inf
 
 
 @compiled()
@@ -337,8 +286,8 @@ def _seen_within(planes, footprints, into, pixel, w):  # type: ignore[no-untyped
     if footprints.shape[1] * footprints.shape[2] == 1:
         return footprints[pixel, 0, 0]
     m = into[pixel]
-    over = dot(_triple(m[2]), w)
-    return _sensitivity(footprints, pixel, dot(_triple(m[0]), w) / over, dot(_triple(m[1]), w) / over)
+    over = dot(get(m, 2, 0), w)
+    return _sensitivity(footprints, pixel, dot(get(m, 0, 0), w) / over, dot(get(m, 1, 0), w) / over)
 
 
 @compiled()
@@ -361,28 +310,28 @@ def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore
     corners : (P, 4, 3) of the pixels, relative to the sensor. A point uniform on the pixel's quadrilateral q(u, v),
     as seen from the sensor, stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
     """
-    footprints, sensor = world.footprints, _triple(world.sensor)
+    footprints, sensor = world.footprints, world.sensor
     for s in range(len(pixel)):
-        u, v, of = numbers[s, 0], numbers[s, 1], corners[pixel[s]]
-        a, b, c, d = _triple(of[0]), _triple(of[1]), _triple(of[2]), _triple(of[3])
+        u, v, p = numbers[s, 0], numbers[s, 1], pixel[s]
+        a, b, c, d = corner(corners, p, 0), corner(corners, p, 1), corner(corners, p, 2), corner(corners, p, 3)
         lower, upper = _along(a, u, subtract(b, a)), _along(d, u, subtract(c, d))
         along_u, along_v = _along(subtract(b, a), v, subtract(subtract(c, d), subtract(b, a))), subtract(upper, lower)
         q = _along(lower, v, along_v)
         solid[s] = abs(dot(q, cross(along_u, along_v))) / (dot(q, q) * math.sqrt(dot(q, q)))
-        solid[s] *= _sensitivity(footprints, pixel[s], u, v)
+        solid[s] *= _sensitivity(footprints, p, u, v)
         _write_ray(world, rays, s, s, NO_GOAL, sensor, NO_NORMAL, q)
 
 
 @compiled()
 def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
     """Fill v with the FoV points where lines of sight landed, a row for each; `power` is 0 where there is none."""
-    sensor = _triple(world.sensor)
+    sensor = world.sensor
     for s in range(len(faces)):
         v.sample[s], v.power[s] = s, 0.0
         face = np.int64(faces[s])
         if face >= 0:
             # The direction as embree knows it, in single precision, is the one whose triangle was found.
-            position, normal, meets = _met(world, face, sensor, _vector(rays.direction, s))
+            position, normal, meets = _met(world, face, sensor, get(rays.direction, s, 0))
             if meets:
                 back, leg = _toward(position, sensor)
                 gain = solid[s] * _aperture(world, leg) * transmittance(world.attenuation, leg)
@@ -413,35 +362,34 @@ def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
         face = np.int64(faces[k])
         if face >= 0:
             s = rays.of[k]
-            position, normal, meets = _met(world, face, _vector(v.position, s), _vector(rays.direction, k))
+            position, normal, meets = _met(world, face, get(v.position, s, 0), get(rays.direction, k, 0))
             if meets:
                 h.face[s] = face
-                _write(h.position, s, position)
-                _write(h.normal, s, normal)
+                put(h.position, s, 0, position)
+                put(h.normal, s, 0, normal)
 
 
 @compiled()
 def _place_on(corners, face, u, v):  # type: ignore[no-untyped-def]
     """A point uniform on a triangle."""
-    of, root = corners[face], math.sqrt(u)
-    a = _triple(of[0])
-    return _along(_along(a, root * (1.0 - v), subtract(_triple(of[1]), a)), root * v, subtract(_triple(of[2]), a))
+    a, b, c, root = corner(corners, face, 0), corner(corners, face, 1), corner(corners, face, 2), math.sqrt(u)
+    return _along(_along(a, root * (1.0 - v), subtract(b, a)), root * v, subtract(c, a))
 
 
 @compiled()
-def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untyped-def]
+def rays_to_second(world, samples, b, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from laser points b to first hidden vertices, drawn by area or by the BRDF; returns how
-    many. row : (n,) of each sample's pair in `aim`."""
-    count = 0
+    many."""
+    count, numbers = 0, samples.numbers
     for i in range(len(b.sample)):
         s, a = b.sample[i], _row(world, b, i)
         choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
         if choice < BY_AREA:
             # One number chooses way and triangle, so that its even spread serves both.
-            goal = draw_triangle(aim, row[s], choice / BY_AREA)
+            goal = draw_triangle(samples.aim, samples.row[s], choice / BY_AREA)
             place = _place_on(world.corners, goal, u, v)
             w = subtract(place, _along(a.position, world.offset, a.normal))
-            _write(rays.place, count, place)
+            put(rays.place, count, 0, place)
         else:
             w = _drawn(world, a, u, v)
         if dot(a.normal, w) > 0.0:
@@ -451,17 +399,17 @@ def rays_to_second(world, aim, row, b, numbers, rays):  # type: ignore[no-untype
 
 
 @compiled()
-def rays_onward(world, x, numbers, seeds, number, order, rays):  # type: ignore[no-untyped-def]
+def rays_onward(world, samples, x, order, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices x, the last before the FoV point of paths of `order` bounces, drawn by their
     BRDFs; returns how many."""
     count = 0
     for i in range(len(x.sample)):
         s, a = x.sample[i], _row(world, x, i)
         if order == 3:
-            u, v = numbers[s, 7], numbers[s, 8]
+            u, v = samples.numbers[s, 7], samples.numbers[s, 8]
         else:
-            u = _independent(seeds[s], number[s], 3 * order + 1)
-            v = _independent(seeds[s], number[s], 3 * order + 2)
+            u = _independent(samples.seeds[s], samples.number[s], 3 * order + 1)
+            v = _independent(samples.seeds[s], samples.number[s], 3 * order + 2)
         w = _drawn(world, a, u, v)
         if dot(a.normal, w) > 0.0:
             _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
@@ -474,13 +422,13 @@ def toward(world, b, h, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices b to the vertices h that FoV points see; returns how many."""
     count = 0
     for i in range(len(b.sample)):
-        s, p, n = b.sample[i], _vector(b.position, i), _vector(b.normal, i)
+        s, p, n = b.sample[i], get(b.position, i, 0), get(b.normal, i, 0)
         if h.face[s] >= 0:
-            place = _vector(h.position, s)
+            place = get(h.position, s, 0)
             w = subtract(place, _along(p, world.offset, n))
             # Between sides that face away from each other no light passes: the ray is saved.
-            if dot(n, w) > 0.0 and dot(_vector(h.normal, s), w) < 0.0:
-                _write(rays.place, count, place)
+            if dot(n, w) > 0.0 and dot(get(h.normal, s, 0), w) < 0.0:
+                put(rays.place, count, 0, place)
                 _write_ray(world, rays, count, i, h.face[s], p, n, w)
                 count += 1
     return count
@@ -511,13 +459,13 @@ def _lit(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+def arrived(world, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
     """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
     the row of the b of each; returns how many.
 
     second : whether these are vertices x₂. returning : whether rays are aimed at vertices that FoV points see.
     """
-    count, values, part = 0, world.values, world.part
+    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
     for k in range(len(faces)):
         i, face, goal = rays.of[k], np.int64(faces[k]), rays.goal[k]
         # A place drawn by area counts only if its own triangle is met first, so that of two triangles that coincide
@@ -527,9 +475,9 @@ def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type:
         a, s = _row(world, b, i), b.sample[i]
         # Where a ray goes is computed from the vertex itself, not from above it, where embree began: so hits have the
         # density of rays from there, even at the foot of a wall that is nearer than rays are lifted.
-        start, direction, place = a.position, _vector(rays.direction, k), a.position
+        start, direction, place = a.position, get(rays.direction, k, 0), a.position
         if goal >= 0:
-            place, start = _vector(rays.place, k), _along(a.position, world.offset, a.normal)
+            place, start = get(rays.place, k, 0), _along(a.position, world.offset, a.normal)
             direction = subtract(place, start)
         y, n, meets = _met(world, face, start, direction)
         if goal >= 0:
@@ -541,7 +489,7 @@ def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type:
         w, r = _toward(a.position, y)
         light, density = _lit(values, a, w, r, n, _by_area(aim, part, row[s], face) if second else 0.0, second)
         power = a.power * light * transmittance(world.attenuation, r)
-        if density > SMALLEST and power > 0.0:
+        if density > TINY and power > 0.0:
             end = _vertex(world, face, y, n, _minus(w), power / density, density, a.path + r)
             _write_vertex(x, count, s, end)
             of[count] = i
@@ -550,7 +498,7 @@ def arrived(world, aim, row, b, rays, faces, second, returning, x, of):  # type:
 
 
 @compiled()
-def _photons(values, x, v, solid_angle, by_area, order, judged):  # type: ignore[no-untyped-def]
+def _photons(values, x, v, solid_angle, by_area, order):  # type: ignore[no-untyped-def]
     """Photons of the path of `order` bounces by way of vertex x and FoV point v in clear air, and the length of the
     leg between them, m.
 
@@ -559,8 +507,7 @@ def _photons(values, x, v, solid_angle, by_area, order, judged):  # type: ignore
 
         join: p/Ω     back: pdf_v cosθ_x/R² /Ω     land: p · pdf_x cosθ_v/R² · R_s²/cosθ_s
 
-    by_area : density with which v is drawn by area after the laser point. judged : whether visibility counts; else
-    paths are only joined, without asking what stands between.
+    by_area : density with which v is drawn by area after the laser point.
     """
     w, r = _toward(x.position, v.position)
     cos_x, cos_v, square = dot(x.normal, w), -dot(v.normal, w), r * r
@@ -569,27 +516,24 @@ def _photons(values, x, v, solid_angle, by_area, order, judged):  # type: ignore
     f_x, onto_v = _scattered(values, x, x.back, w)
     f_v, onto_x = _scattered(values, v, v.back, _minus(w))
     ways, cos_s = 1.0, dot(v.normal, v.back)
-    if judged and order > 2 and x.density > SMALLEST:
+    if order > 2 and x.density > TINY:
         ways += onto_x * cos_x / (square * x.density)
-    if judged and cos_s > SMALLEST:
+    if cos_s > TINY:
         ways += _by_light(onto_v * cos_v / square, by_area, order == 2) * solid_angle * v.path * v.path / cos_s
     return x.power * v.power * f_x * f_v * cos_x * cos_v / (square * ways), r
 
 
 @compiled()
-def joined(world, aim, row, x, v, pixel, order, judged, found, rays):  # type: ignore[no-untyped-def]
+def joined(world, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of `order` bounces from vertices x to the FoV points v of their samples, and rays with
-    a shadow ray for each; returns how many.
-
-    row, pixel : (n,) of each sample, its pair's row in `aim` and its pixel.
-    """
-    count, values, part = 0, world.values, world.part
+    a shadow ray for each; returns how many."""
+    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
     for i in range(len(x.sample)):
         s = x.sample[i]
         if v.power[s] > 0.0:
             a, c = _row(world, x, i), _row(world, v, s)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            photons, r = _photons(values, a, c, world.solid_angle[pixel[s]], by_area, order, judged)
+            photons, r = _photons(values, a, c, world.solid_angle[samples.pixel[s]], by_area, order)
             if photons > 0.0:
                 path = a.path + r + c.path * world.from_source
                 photons *= transmittance(world.attenuation, r)
@@ -600,13 +544,12 @@ def joined(world, aim, row, x, v, pixel, order, judged, found, rays):  # type: i
 
 
 @compiled()
-def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignore[no-untyped-def]
+def landed(world, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
     `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
     """
-    count, values, part = 0, world.values, world.part
-    planes, footprints, into = world.planes, world.footprints, world.into
-    sensor = _triple(world.sensor)
+    count, values, part, aim, row, pixel = 0, world.values, world.part, samples.aim, samples.row, samples.pixel
+    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
     for k in range(len(of)):
         s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
         back, leg = _toward(c.position, sensor)
@@ -620,8 +563,7 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
             gain = seen * _aperture(world, leg) * solid * transmittance(world.attenuation, leg)
             end = _vertex(world, c.face, c.position, c.normal, back, gain, 0.0, leg)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            # Visibility always counts here; a literal `True` would be compiled apart.
-            photons, r = _photons(values, a, end, solid, by_area, order, order > 1)
+            photons, r = _photons(values, a, end, solid, by_area, order)
             if photons > 0.0:
                 path = a.path + r + leg * world.from_source
                 photons *= transmittance(world.attenuation, r)
@@ -632,12 +574,11 @@ def landed(world, aim, row, x, y, of, pixel, order, found, rays):  # type: ignor
 
 
 @compiled()
-def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
+def one_bounce(world, samples, x, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them;
     and rays with a shadow ray from the sensor for each; returns how many."""
-    count, values = 0, world.values
-    planes, footprints, into = world.planes, world.footprints, world.into
-    sensor = _triple(world.sensor)
+    count, values, pixel = 0, world.values, samples.pixel
+    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
     for i in range(len(x.sample)):
         s, a = x.sample[i], _row(world, x, i)
         w, leg = _toward(a.position, sensor)
@@ -655,9 +596,12 @@ def one_bounce(world, x, pixel, found, rays):  # type: ignore[no-untyped-def]
 
 @compiled()
 def add(found, order, first, samples, row_of, start_s, width_s, light):  # type: ignore[no-untyped-def]
-    """Add paths to the histograms `light` (n, rows, T + 2), as `path_light` describes them.
+    """Add paths of `order` bounces to the histograms `light` (rows, n, T + 2), whose first and last column hold what
+    arrives before and after the time axis.
 
-    first : the number of the batch's first sample, counted over all pairs.
+    first : the number of the batch's first sample, counted over all pairs. row_of : (orders, K) row of a path of
+    B bounces whose last hidden vertex lies on part k (with one or two bounces, whose last vertex does), in row_of[B −
+    1, k]; its last row stands for all higher orders, too. −1 for paths that are not wanted.
     """
     bins, row = light.shape[2] - 2, row_of[min(order, len(row_of)) - 1]
     for k in range(len(found.sample)):
@@ -666,4 +610,4 @@ def add(found, order, first, samples, row_of, start_s, width_s, light):  # type:
             # A bin is the integral of the flux between its edges: each path goes whole into one.
             place = math.floor((found.path[k] / SPEED_OF_LIGHT_M_PER_S - start_s) / width_s)
             column = int(min(max(place, -1.0), bins)) + 1
-            light[(first + found.sample[k]) // samples, to, column] += found.photons[k]
+            light[to, (first + found.sample[k]) // samples, column] += found.photons[k]

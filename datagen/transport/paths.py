@@ -13,7 +13,7 @@ The last two vertices of a path, h = x_{B−1} and v = x_B, are drawn in three w
 A path counts with the integrand over the sum of the densities of all three ways, whichever of them found it (the
 balance heuristic: Veach & Guibas, SIGGRAPH 1995). So together they count every path once.
 
-`path_light` adds the light up in time bins; `sample_paths` returns the paths one by one:
+`Tracer` draws the paths, `path_light.py` adds them up in time bins; `sample_paths` returns them one by one:
 
     materials, caster = MaterialTable.of(scene.materials), Raycaster(scene)
     paths = sample_paths(caster, scene, materials, capture, pairs_of(capture), samples=64, max_bounces=4)
@@ -27,22 +27,21 @@ finds what they meet, and the next loop goes on from there.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints
+from datagen.records.arrays import Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
-from datagen.transport.path_steps import Found, Rays, Vertices, World, head, room, some
+from datagen.transport.path_steps import Found, Rays, Samples, Vertices, World, head, room
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import Paths, dots
-from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, direction_numbers, stream_seeds
+from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, sobol_points, stream_seeds
 
 AT_ONCE = 1 << 14
 """Samples in a batch. More take more memory (1 KB each); fewer spend more time between the compiled loops."""
@@ -52,7 +51,6 @@ class _Room:
     """Arrays for the steps of a batch, used again and again: fresh memory would cost a third of the time."""
 
     def __init__(self, samples: int) -> None:
-        self.numbers = np.empty((samples, steps.DIMENSIONS))
         self.rays, self.found, self.of = room(Rays, samples), room(Found, samples), np.empty(samples, np.int64)
         self.fov, self.beside, self.back = (room(Vertices, samples) for _ in range(3))
         # A path's last vertex, the one before, and the next one.
@@ -65,15 +63,13 @@ class _Batch:
     What a step returns holds until the same step is taken again.
     """
 
-    def __init__(self, tracer: _Tracer, first: int, last: int) -> None:
+    def __init__(self, tracer: Tracer, first: int, last: int) -> None:
         self.tracer, self.world, self.caster, self.room = tracer, tracer.world, tracer.caster, tracer.room
-        self.size = last - first
         pair, number = np.divmod(np.arange(first, last), tracer.samples)
-        self.number, self.later = number + tracer.first_sample, tracer.later[pair]
-        self.laser, self.pixel = tracer.pairs[pair].T.copy()
-        self.numbers = self.room.numbers[: self.size]
-        steps.draw_numbers(tracer.words, tracer.seeds[pair], self.number, self.numbers)
-        self.row, self.aim = pair - pair[0], tracer.aimed(tracer.pairs[pair[0] : pair[-1] + 1])
+        self.laser, pixel = tracer.pairs[pair].T.copy()
+        numbers = sobol_points(tracer.seeds[pair], number, steps.DIMENSIONS)
+        aim = tracer.aimed(np.arange(pair[0], pair[-1] + 1))
+        self.samples = Samples(pixel, numbers, tracer.later[pair], number, pair - pair[0], aim)
 
     def met(self, rays: Rays) -> NDArray[np.int32]:
         """The first triangle (n,) along each ray, −1 for none."""
@@ -82,7 +78,7 @@ class _Batch:
     def unhidden(self, count: int) -> Found:
         """The first `count` paths, without those whose shadow ray meets something."""
         rays = head(self.room.rays, count)
-        return some(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
+        return rows_of(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
 
     def laser_points(self) -> Vertices:
         """The laser points x₁ of the samples whose laser ray meets a surface."""
@@ -90,14 +86,14 @@ class _Batch:
         if laser.cells is not None:
             # Where a beam states its cells, a laser point is anywhere in its own.
             a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
-            u, v = self.numbers[:, 9:10], self.numbers[:, 10:11]
+            u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
             points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
         return head(self.room.turn[2], steps.begun(self.world, points, number, self.room.turn[2]))
 
     def beside(self, v: Vertices) -> Vertices:
         """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
         light; its triangle is −1 for none."""
-        rays = head(self.room.rays, steps.rays_back(self.world, v, self.numbers, self.room.rays))
+        rays = head(self.room.rays, steps.rays_back(self.world, v, self.samples.numbers, self.room.rays))
         steps.seen_from(self.world, v, rays, self.met(rays), self.room.beside)
         return self.room.beside
 
@@ -106,65 +102,62 @@ class _Batch:
         `count` rays, and the row of the b of each."""
         rays, x = head(self.room.rays, count), self.room.back if returning else self.room.turn[(order + 1) % 3]
         faces, of = self.met(rays), self.room.of
-        count = steps.arrived(self.world, self.aim, self.row, b, rays, faces, order == 2, returning, x, of)
+        count = steps.arrived(self.world, self.samples, b, rays, faces, order == 2, returning, x, of)
         return head(x, count), of[:count]
 
-    def join(self, x: Vertices, v: Vertices, order: int, judged: bool, shadows: bool) -> Found:
-        """Paths of `order` bounces from vertices x to the FoV points drawn from the pixel.
-
-        judged : whether visibility counts. shadows : whether to ask what hides the FoV points.
-        """
-        found, rays = self.room.found, self.room.rays
-        count = steps.joined(self.world, self.aim, self.row, x, v, self.pixel, order, judged, found, rays)
-        return self.unhidden(count) if shadows else head(found, count)
+    def join(self, x: Vertices, v: Vertices, order: int) -> int:
+        """Number of paths of `order` bounces from vertices x to the FoV points drawn from the pixel; they and their
+        shadow rays are in the room."""
+        return int(steps.joined(self.world, self.samples, x, v, order, self.room.found, self.room.rays))
 
     def back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
         """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
         count = steps.toward(self.world, b, h, self.room.rays)
-        return self.join(self.arrived(b, count, order - 1, True)[0], v, order, True, False)
+        # h was found by a ray from v, so that nothing stands between.
+        return head(self.room.found, self.join(self.arrived(b, count, order - 1, True)[0], v, order))
 
     def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
         """The next vertices that the vertices x of `order` light, and the row of the x of each."""
         if order == 2:
-            count = steps.rays_to_second(self.world, self.aim, self.row, x, self.numbers, self.room.rays)
+            count = steps.rays_to_second(self.world, self.samples, x, self.room.rays)
         else:
-            count = steps.rays_onward(self.world, x, self.numbers, self.later, self.number, order, self.room.rays)
+            count = steps.rays_onward(self.world, self.samples, x, order, self.room.rays)
         return self.arrived(x, count, order, False)
 
     def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
         """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
         found, rays = self.room.found, self.room.rays
-        return self.unhidden(steps.landed(self.world, self.aim, self.row, x, y, of, self.pixel, order, found, rays))
+        return self.unhidden(steps.landed(self.world, self.samples, x, y, of, order, found, rays))
 
     def one_bounce(self, x: Vertices) -> Found:
         """Paths of one bounce: the laser points x themselves where the pixel sees them."""
-        return self.unhidden(steps.one_bounce(self.world, x, self.pixel, self.room.found, self.room.rays))
+        return self.unhidden(steps.one_bounce(self.world, self.samples, x, self.room.found, self.room.rays))
 
     def survivors(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Vertices:
         """Russian roulette: some of the vertices y, with more power, so that paths end."""
         stays = np.clip(y.power / x.power[of], *SURVIVAL)
-        drawn = steps.later_numbers(self.later[y.sample], self.number[y.sample], order)
-        return some(y._replace(power=y.power / stays), drawn < stays)
+        drawn = steps.later_numbers(self.samples.seeds[y.sample], self.samples.number[y.sample], order)
+        return rows_of(y._replace(power=y.power / stays), drawn < stays)
 
-    def paths(self, max_bounces: int | None, direct: bool, occlusion: bool) -> Iterator[tuple[int, Found]]:
+    def paths(self, max_bounces: int | None, direct: bool) -> Iterator[tuple[int, Found]]:
         """All paths of the batch, by order and way."""
-        x, v = self.laser_points(), self.tracer.fov_points(self.pixel, self.numbers)
+        x, v = self.laser_points(), self.tracer.fov_points(self.samples.pixel, self.samples.numbers)
         if direct:
             yield 1, self.one_bounce(x)
-        h = self.beside(v) if occlusion and max_bounces not in (1, 2) else None
-        order, b = 2, x
+        order, b, h = 2, x, v
         # x is the vertex before the FoV point of paths of `order`, and b the one before that.
         while max_bounces != 1 and len(x.sample):
-            # With two bounces visibility always counts.
-            joins, judged = order > 2 or direct, occlusion or order == 2
-            if joins:
-                yield order, self.join(x, v, order, judged, judged)
-            if order > 2 and h is not None:
+            if order == 3:
+                h = self.beside(v)
+            is_wanted = order > 2 or direct
+            if is_wanted:
+                yield order, self.unhidden(self.join(x, v, order))
+            if order > 2:
                 yield order, self.back(b, h, v, order)
-            if order == max_bounces and not (joins and judged):
+            if order == max_bounces and not is_wanted:
                 return
             y, of = self.onward(x, order)
-            if joins and judged:
+            if is_wanted:
                 yield order, self.land(x, y, of, order)
             if order == max_bounces:
                 return
@@ -173,15 +166,15 @@ class _Batch:
             b, x, order = x, y, order + 1
 
 
-class _Tracer:
-    """What all samples of some pairs of laser point and pixel share."""
+class Tracer:
+    """The paths of `samples` samples for each of some pairs of laser point and pixel."""
 
     def __init__(
         self, caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
-        seed: int, first_sample: int,
+        seed: int,
     ) -> None:  # fmt: skip
-        self.caster, self.capture, self.samples, self.first_sample = caster, capture, samples, first_sample
-        self.pairs, self.words = np.asarray(pairs, np.int64).reshape(-1, 2), direction_numbers()
+        self.caster, self.capture, self.samples = caster, capture, samples
+        self.pairs = np.asarray(pairs, np.int64).reshape(-1, 2)
         # A scrambling for each pair, so that the errors of pairs are independent.
         rows = np.arange(len(self.pairs))
         self.seeds = stream_seeds(seed, LightStream.SAMPLED_PATHS, rows)
@@ -196,9 +189,23 @@ class _Tracer:
         middle = caster.corners.mean(axis=1, keepdims=True)
         self.radius = np.linalg.norm(caster.corners - middle, axis=2).max(axis=1)
 
+    def paths(self, max_bounces: int | None, direct: bool) -> Iterator[tuple[int, int, Found]]:
+        """All paths in batches of one order: the number of the batch's first sample, the order, the paths, which hold
+        until the next batch.
+
+        max_bounces : highest number of bounces, or None for no limit. direct : whether to add paths of one and two
+        bounces.
+        """
+        total = len(self.pairs) * self.samples
+        # Whole pairs in a batch where they fit, so that a pair's guesses are made once.
+        at_once = AT_ONCE // self.samples * self.samples if self.samples <= AT_ONCE else AT_ONCE
+        for first in range(0, total, at_once):
+            for order, found in _Batch(self, first, min(first + at_once, total)).paths(max_bounces, direct):
+                yield first, order, found
+
     def aimed(self, pairs: Ints) -> Aim:
-        """How pairs (n, 2) draw points by area."""
-        laser, pixel = pairs.T.copy()
+        """How some pairs (n,) draw points by area."""
+        laser, pixel = self.pairs[pairs].T.copy()
         v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
         x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
         x = x._replace(power=x.power * (number >= 0))
@@ -217,7 +224,7 @@ class _Tracer:
     def world_of(self, scene: Scene, materials: MaterialTable) -> World:
         """What the compiled loops need to know, but for the density of points by area."""
         caster, sensor = self.caster, self.capture.sensor
-        cones, pixels = PixelCones.of(sensor), len(sensor.pixels)
+        cones, pixels, (x, y, z) = PixelCones.of(sensor), len(sensor.pixels), map(float, sensor.position)
         footprints, into = np.ones((pixels, 1, 1)), np.zeros((pixels, 3, 3))
         if sensor.footprints is not None:
             a, b, d = (self.corners[:, k] for k in (0, 1, 3))
@@ -225,7 +232,7 @@ class _Tracer:
         return World(
             caster.corners, caster.face_normal, scene.face_part.astype(np.int64), materials.kind, materials.values,
             float(scene.attenuation_per_m), caster.offset_m, np.array([*caster.center, caster.half_extent_m]),
-            sensor.position, sensor.aperture_area_m2, sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0,
+            (x, y, z), sensor.aperture_area_m2, sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0,
             self.capture.time.origin == "source", cones.planes, cones.solid_angle, footprints, into,
         )  # fmt: skip
 
@@ -246,66 +253,27 @@ class _Tracer:
         return points, row
 
 
-def _all(
-    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int,
-    max_bounces: int | None, direct: bool, occlusion: bool, seed: int, first_sample: int,
-) -> Iterator[tuple[int, int, Found]]:  # fmt: skip
-    """All paths in batches of one order: the number of the batch's first sample, the order, the paths."""
-    tracer = _Tracer(caster, scene, materials, capture, pairs, samples, seed, first_sample)
-    total = len(tracer.pairs) * samples
-    # Whole pairs in a batch where they fit, so that a pair's guesses are made once.
-    at_once = AT_ONCE // samples * samples if samples <= AT_ONCE else AT_ONCE
-    for first in range(0, total, at_once):
-        batch = _Batch(tracer, first, min(first + at_once, total))
-        for order, found in batch.paths(max_bounces, direct, occlusion):
-            yield first, order, found
-
-
 def sample_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
-    max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+    max_bounces: int | None = 3, direct: bool = False, seed: int = 0,
 ) -> Paths:  # fmt: skip
     """Weighted paths of light for some pairs of laser point and pixel, unbiased for any number of samples.
 
     pairs : (n, 2) indices of laser point and pixel. samples : number for each pair; a sample finds up to three paths
         of each order. A power of two makes the most of the quasi-random numbers.
     max_bounces : highest number of bounces, or None for no limit (Russian roulette). direct : whether to add paths of
-        one and two bounces. occlusion : whether a surface may hide the last hidden vertex from the FoV point.
-    seed : the same seed gives the same paths.
+        one and two bounces. seed : the same seed gives the same paths.
 
     A laser point of a beam that states its cells (`Laser.cells`) lies anywhere in its cell, for paths of all orders.
     """
     none, nothing = np.empty(0, np.int64), np.empty(0)
     found = [Paths(none, none, none, none, nothing, nothing)]
-    for first, order, new in _all(
-        caster, scene, materials, capture, pairs, samples, max_bounces, direct, occlusion, seed, 0
-    ):
+    tracer = Tracer(caster, scene, materials, capture, pairs, samples, seed)
+    for first, order, new in tracer.paths(max_bounces, direct):
+        sample = new.sample + first
         # Copies, as the arrays of a batch are used again.
-        sample, part, path_m, photons = new.sample + first, new.part.copy(), new.path.copy(), new.photons.copy()
-        found.append(Paths(sample // samples, sample, np.full(len(sample), order), part, path_m, photons))
-    return Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
-
-
-def path_light(
-    caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
-    row_of: Ints, rows: int, max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
-    first_sample: int = 0,
-) -> Floats:  # fmt: skip
-    """The light (n, rows, T + 2) of the paths of `sample_paths` in the T bins of the capture's time axis.
-
-    The first and the last column hold what arrives before and after the time axis.
-
-    row_of : (orders, K) row that paths of B bounces go to whose last hidden vertex lies on part k (with one or two
-        bounces, whose last vertex does), in row_of[B − 1, k]; its last row stands for all higher orders, too. −1 for
-        paths that are not wanted.
-    first_sample : number of the first sample in the sequence of each pair. Two calls with the same seed, one of which
-        goes on where the other ends, are together one longer run: the mean of their light, weighted by samples.
-    """
-    light = np.zeros((len(pairs), rows, capture.time.bins + 2))
-    table = np.ascontiguousarray(row_of, np.int64)
-    time = capture.time
-    for first, order, found in _all(
-        caster, scene, materials, capture, pairs, samples, max_bounces, direct, occlusion, seed, first_sample
-    ):
-        steps.add(found, order, first, samples, table, time.start_s, time.width_s, light)
-    return light
+        found.append(Paths(
+            sample // samples, sample, np.full(len(sample), order), new.part.copy(), new.path.copy(),
+            new.photons.copy(),
+        ))  # fmt: skip
+    return joined(*found)

@@ -7,7 +7,6 @@ triangle's plane, so that path lengths carry no float32 noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -17,12 +16,13 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records import Scene
-from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.records.arrays import Bools, Floats
+from datagen.transport.geometry import put, subtract
+from datagen.transport.memory import in_calls
 
 SURFACE_OFFSET = 2e-6
-"""Distance, in units of the scene's half extent, by which ray ends are lifted off their surface: some twenty float32
-roundings at unit size, and 10 µm in a room of 10 m. With half of it, a surface may begin to hide itself."""
+"""Distance, in units of the scene's half extent, by which ray ends are lifted off their surface, so that it does not
+hide itself: some twenty float32 roundings at unit size, and 10 µm in a room of 10 m."""
 
 
 class Hits(NamedTuple):
@@ -41,10 +41,6 @@ class Hits(NamedTuple):
     def valid(self) -> Bools:
         """(n,) whether anything was met."""
         return self.face >= 0
-
-    def take(self, rows: Ints) -> Hits:
-        """The hits of the rays whose indices are in `rows`."""
-        return Hits(self.face[rows], self.position[rows], self.normal[rows])
 
 
 class Raycaster:
@@ -71,8 +67,7 @@ class Raycaster:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
         # A copy, so that `_refine` is compiled for one layout.
         origins = np.array(np.broadcast_to(origins, directions.shape), order="C")
-        face = self._met(origins, directions)
-        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
+        return self._hits(origins, origins, directions)
 
     def leaving(self, positions: Floats, normals: Floats, directions: Floats) -> Hits:
         """First surface along rays that leave a surface: positions (n, 3) on it, unit normals and directions (n, 3).
@@ -81,17 +76,14 @@ class Raycaster:
         is computed from `positions` themselves. So hits have the density of rays from there, even at the foot of a
         wall that is nearer than the rays are lifted, and no light that leaves a point beside an edge is lost.
         """
-        face = self._met(positions + self.offset_m * normals, directions)
-        return Hits(face, *_refine(face, positions, directions, self.corners, self.face_normal))
+        return self._hits(positions + self.offset_m * normals, positions, directions)
 
-    def _met(self, origins: Floats, directions: Floats) -> NDArray[np.int32]:
-        """(n,) first triangle along each ray, −1 for none, of rays in metres."""
+    def _hits(self, starts: Floats, origins: Floats, directions: Floats) -> Hits:
+        """Hits from origins (n, 3), of triangles that are met from `starts`; all in metres."""
         face = np.empty(len(directions), np.int32)
-        for batch in _batches(len(directions)):
-            face[batch] = self._embree.run(
-                self._scaled(origins[batch]), directions[batch].astype(np.float32), query="INTERSECT"
-            )
-        return face
+        for batch in in_calls(len(directions), 8):
+            face[batch] = self.closest_scaled(self._scaled(starts[batch]), directions[batch].astype(np.float32))
+        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
 
     def closest_scaled(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
         """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""
@@ -101,7 +93,7 @@ class Raycaster:
         """(n,) whether anything stands between each origin and target, (n, 3) metres, both off their surfaces."""
         hidden = np.empty(len(targets), np.bool_)
         origins = np.broadcast_to(origins, targets.shape)
-        for batch in _batches(len(targets)):
+        for batch in in_calls(len(targets), 8):
             # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
             o = self._scaled(origins[batch])
             hidden[batch] = self.occluded_scaled(o, self._scaled(targets[batch]) - o)
@@ -128,10 +120,12 @@ def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
     )
 
 
-def _batches(rays: int) -> Iterator[slice]:
-    """Slices of as many rays as are in memory at once."""
-    at_once = VALUES_AT_ONCE // 8
-    return (slice(start, start + at_once) for start in range(0, rays, at_once))
+@compiled()
+def write_shadow_ray(origin, span, k, a, b):  # type: ignore[no-untyped-def]
+    """Write the ray between points a and b, lifted and scaled, to row k of origins and spans (n, 3)."""
+    # The span is taken between the rounded ends, so that the ray ends where the target was rounded to.
+    put(origin, k, 0, a)
+    put(span, k, 0, subtract(b, a))
 
 
 @compiled()

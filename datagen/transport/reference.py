@@ -22,30 +22,27 @@ where lobes are narrow. `reference` adds such paths up in time bins.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records import Capture, Laser, Scene, Transient
 from datagen.records.accuracy import MAX_BOUNCES
-from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.arrays import Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.coincidence import set_apart
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
-from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.geometry import TINY
+from datagen.transport.laser_points import LaserPoints
+from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 from datagen.transport.sampling import stream_seeds
 from datagen.units import time_from_path
 
-GOES_ON = 0.5
-"""Chance to follow a path beyond each bounce after the fourth, where all orders are asked for. The mean is the same
-for any chance; half of it makes paths shorter and the light of many bounces noisier."""
 
-
-@dataclass(frozen=True)
-class Paths:
+class Paths(NamedTuple):
     """n weighted paths. All paths of one pair of laser point and pixel and of one order add up to its expected
     photons.
 
@@ -69,10 +66,6 @@ class Paths:
     path_m: Floats
     photons: Floats
 
-    def take(self, which: Ints | Bools) -> Paths:
-        """The paths of some rows."""
-        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
-
 
 @compiled()
 def brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-def]
@@ -91,13 +84,12 @@ def brdf(kind, values, part, normal, w_in, w_out):  # type: ignore[no-untyped-de
 
 def plain_paths(
     caster: Raycaster, scene: Scene, materials: MaterialTable, capture: Capture, pairs: Ints, samples: int, *,
-    max_bounces: int | None = 3, direct: bool = False, occlusion: bool = True, seed: int = 0,
+    max_bounces: int | None = 3, direct: bool = False, seed: int = 0,
 ) -> Paths:  # fmt: skip
     """Weighted paths: for each pair of laser point and pixel `samples` samples, each of one path of every order.
 
     pairs : (n, 2) indices of laser point and pixel. max_bounces : highest number of bounces, or None for no limit.
-    direct : whether to add paths of one and two bounces. occlusion : whether a surface may hide the last hidden
-    vertex from the FoV point.
+    direct : whether to add paths of one and two bounces.
     """
     rng = np.random.default_rng([LightStream.PLAIN_REFERENCE, seed])
     laser, pixel = np.repeat(pairs, samples, axis=0).T
@@ -151,7 +143,7 @@ def plain_paths(
     order, area = 2, caster.face_area_m2
     while max_bounces != 1:
         # End the path here: x is x_{B−1}, z is x_B. The last factors of (1) are f_x cosθ_x cosθ_z V / R² · f_z A dΩ.
-        w, r, near = _between(caster, x, n_x, z, n_z, occlusion or order == 2)
+        w, r, near = _between(caster, x, n_x, z, n_z)
         photons = power * f(part_x, n_x, back, w) * near * air(r) * f(part_z, n_z, -w, last / leg_z[:, None]) * gain
         if order > 2 or direct:
             of = part_x if order > 2 else part_z
@@ -171,9 +163,9 @@ def plain_paths(
         x, n_x, part_x, back, path, order = y, n_y, part_of_face[face], -w, path + r, order + 1
         # Russian roulette: half of the paths go on, with twice the power.
         if max_bounces is None and order > 4:
-            power = power * (rng.random(count) < GOES_ON) / GOES_ON
-    every = Paths(**{of.name: np.concatenate([getattr(some, of.name) for some in found]) for of in fields(Paths)})
-    return every.take(every.photons > 0)
+            power = power * (rng.random(count) < 0.5) / 0.5
+    every = joined(*found)
+    return rows_of(every, every.photons > 0)
 
 
 def _targets(laser: Laser, number: Ints, rng: np.random.Generator) -> Floats:
@@ -185,19 +177,16 @@ def _targets(laser: Laser, number: Ints, rng: np.random.Generator) -> Floats:
     return np.asarray(a + u * (b - a) + v * (d - a))
 
 
-def _between(
-    caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats, shadow_rays: bool = True
-) -> tuple[Floats, Floats, Floats]:
+def _between(caster: Raycaster, x: Floats, n_x: Floats, y: Floats, n_y: Floats) -> tuple[Floats, Floats, Floats]:
     """Unit directions (n, 3) from points x to points y, distances R (n,), and cosθ cosθ′ V / R² (n,).
 
-    n_x, n_y : (n, 3) unit normals at the points; a surface that faces away gives 0. shadow_rays : whether shadow rays
-    find the visibility V, which is else taken for 1.
+    n_x, n_y : (n, 3) unit normals at the points; a surface that faces away gives 0.
     """
     span = y - x
     r = np.linalg.norm(span, axis=1)
-    w = span / np.maximum(r, 1e-300)[:, None]
+    w = span / np.maximum(r, TINY)[:, None]
     cosines = np.maximum(dots(n_x, w), 0.0) * np.maximum(-dots(n_y, w), 0.0)
-    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y) if shadow_rays else 1.0
+    visible = ~caster.occluded(x + caster.offset_m * n_x, y + caster.offset_m * n_y)
     return w, r, np.divide(cosines, r**2, where=r > 0, out=np.zeros_like(r)) * visible
 
 
@@ -215,8 +204,7 @@ def aperture_area(capture: Capture, distance: Floats) -> Floats:
 
 def reference(
     scene: Scene, capture: Capture, *, samples: int = 4096, replicates: int = 8, max_bounces: int | None = 3,
-    direct: bool = False, occlusion: bool = True, seed: int = 0, caster: Raycaster | None = None,
-    draw: Callable[..., Paths] = plain_paths,
+    direct: bool = False, seed: int = 0, draw: Callable[..., Paths] = plain_paths,
 ) -> Transient:  # fmt: skip
     """The transient (L, P, T) of a capture by its definition, by component and part, with standard errors.
 
@@ -224,9 +212,8 @@ def reference(
         the standard error. draw : function that draws the paths: `plain_paths`, or `paths.sample_paths`,
         which has the same arguments and the same mean with far less noise. The other arguments are those of `draw`.
     """
-    if caster is None:
-        scene = set_apart(scene, capture).scene
-        caster = Raycaster(scene)
+    apart = set_apart(scene, capture)
+    scene, caster = apart.scene, apart.caster
     materials, axis, shape = MaterialTable.of(scene.materials), capture.time, capture.shape
     pairs = pairs_of(capture)
     # A flood is the weighted mean over its laser points (`flood.py`): all of a pixel's light goes into one histogram.
@@ -236,19 +223,18 @@ def reference(
     parts = len(scene.part_names)
     rows, values = parts + 3, int(np.prod(shape))
     light, squares, overflow = np.zeros(rows * values), np.zeros(values), np.zeros(values // axis.bins)
-    at_once = max(VALUES_AT_ONCE // (64 * samples), 1)
     for replicate in range(replicates):
         before = light.reshape(rows, values).sum(axis=0)
-        for start in range(0, len(pairs), at_once):
-            own_seed = int(stream_seeds(seed, LightStream.REFERENCE, replicate, start)[0])
+        for some in in_calls(len(pairs), 64 * samples):
+            own_seed = int(stream_seeds(seed, LightStream.REFERENCE, replicate, some.start)[0])
             paths = draw(
-                caster, scene, materials, capture, pairs[start : start + at_once], samples, max_bounces=max_bounces,
-                direct=direct, occlusion=occlusion, seed=own_seed,
+                caster, scene, materials, capture, pairs[some], samples, max_bounces=max_bounces, direct=direct,
+                seed=own_seed,
             )  # fmt: skip
             # A bin is the integral of the flux between its edges; what arrives outside the window is overflow.
             place = np.floor((time_from_path(paths.path_m) - axis.start_s) / axis.width_s)
             inside = (place >= 0) & (place < axis.bins)
-            histogram, photons = histogram_of[start + paths.pair], share[start + paths.pair] * paths.photons
+            histogram, photons = histogram_of[some][paths.pair], share[some][paths.pair] * paths.photons
             # The rows are the primary of each part, then direct light, the secondary and higher orders.
             row = np.where(paths.order == 3, paths.part, parts + np.clip(paths.order - 3, 0, 2))
             to = (row * len(overflow) + histogram) * axis.bins + place.astype(np.int64)
@@ -258,13 +244,14 @@ def reference(
     by_row = light.reshape(rows, *shape)
     scatter = np.maximum(squares - by_row.sum(axis=0).ravel() ** 2 / replicates, 0.0)
     stderr = np.sqrt(scatter * replicates / (replicates - 1)) if replicates > 1 else np.full(values, np.nan)
+    points = LaserPoints.of(caster, scene, capture.laser).position
     last = MAX_BOUNCES if max_bounces is None else max_bounces
     requested = {"direct": direct, "primary": True, "secondary": last > 3, "higher": last > 4}
     found = {"direct": by_row[parts], "primary": by_row[:parts].sum(axis=0), "secondary": by_row[parts + 1],
              "higher": by_row[parts + 2]}  # fmt: skip
     return Transient(
         axis, {name: found[name] for name in found if requested[name]}, dict(zip(scene.part_names, by_row,
-        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), laser_points(caster, capture),
+        strict=False)), stderr.reshape(shape), overflow.reshape(shape[:2]), points,
     )  # fmt: skip
 
 
@@ -277,9 +264,3 @@ def pairs_of(capture: Capture) -> Ints:
     if capture.pairing == "confocal":
         return np.stack([np.arange(lasers), np.arange(lasers)], axis=1)
     return np.stack(np.divmod(np.arange(lasers * pixels), pixels), axis=1)
-
-
-def laser_points(caster: Raycaster, capture: Capture) -> Floats:
-    """(L, 3) points where the laser's rays first meet the scene, NaN for rays that meet nothing."""
-    hits = caster.closest(capture.laser.position, capture.laser.targets - capture.laser.position)
-    return np.where(hits.valid[:, None], hits.position, np.nan)

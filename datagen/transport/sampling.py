@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 
 BITS = 32
 """Bits of a point's coordinates, and of the index of a point: a sequence has 2³² points."""
 ROULETTE_FROM, SURVIVAL = 4, (0.05, 0.95)
-"""Number of bounces from which Russian roulette may end paths, if all orders are asked for (half of it would end
-paths early that bring most of the light, and add noise to the primary); and least and greatest chance of a path to
-survive a bounce. The least one bounds the growth of a weight at a bounce (20-fold; half of it allows 40-fold); the
-greatest one makes every path end, also after the window (half of it makes the overflow noisier)."""
+"""Bounces from which Russian roulette may end paths of all orders, as those before bring most of the light; and least
+and greatest chance of a path to survive a bounce: the least bounds the growth of its weight (20-fold), the greatest
+makes every path end."""
 
 _JOE_KUO = (
     (1, 0, (1,)),
@@ -109,34 +108,48 @@ def owen_scrambled(x: np.uint64, seed: np.uint64) -> np.uint64:
 
 
 @compiled()
-def _fill(numbers: NDArray[np.uint64], first: int, seeds: NDArray[np.uint64], out: Floats) -> None:
-    """Write the points of `scrambled_sobol` to out (scrambling, point, dimension); `first` is the first dimension."""
-    streams, count, dimensions = out.shape
-    for s in range(streams):
-        for d in range(dimensions):
-            # The scrambling hash is good only for seeds whose bits are well mixed.
-            seed = mix(seeds[s], np.uint64(first + d + 1))
-            x = np.uint64(0)
-            for i in range(count):
-                out[s, i, d] = (np.float64(owen_scrambled(x, seed)) + 0.5) * 2.0**-BITS
-                # In Gray-code order the next point differs by one direction number: that of the lowest zero bit of i.
+def _fill(words: NDArray[np.uint64], seeds: NDArray[np.uint64], number: Ints, out: Floats) -> None:
+    """Write the points of `sobol_points` to out (n, d)."""
+    for d in range(out.shape[1]):
+        x, seed, before = np.uint64(0), np.uint64(0), -2
+        for i in range(len(out)):
+            k = number[i]
+            if i == 0 or seeds[i] != seeds[i - 1]:
+                # The scrambling hash is good only for seeds whose bits are well mixed.
+                seed = mix(seeds[i], np.uint64(d + 1))
+            # In Gray-code order the next point differs by one direction number: that of the lowest zero bit. Only
+            # the first point of a sequence, or of a part of it, needs all that its own code has.
+            if k == before + 1:
                 bit = 0
-                while (i >> bit) & 1:
+                while (before >> bit) & 1:
                     bit += 1
-                x ^= numbers[first + d, bit]
+                x ^= words[d, bit]
+            else:
+                x, code, bit = np.uint64(0), k ^ (k >> 1), 0
+                while code >> bit:
+                    if (code >> bit) & 1:
+                        x ^= words[d, bit]
+                    bit += 1
+            before = k
+            out[i, d] = (np.float64(owen_scrambled(x, seed)) + 0.5) * 2.0**-BITS
 
 
-def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int, first_dimension: int = 0) -> Floats:
-    """(s, count, dimensions) points in the open interval (0, 1): s independent scramblings of one Sobol' sequence.
-
-    seeds : (s,) one for each scrambling. Dimension k of the result is `first_dimension + k` of the sequence.
-    """
-    numbers = direction_numbers()
-    if first_dimension + dimensions > len(numbers):
-        raise ValueError(f"dimensions up to {len(numbers)} are tabulated, {first_dimension + dimensions} asked for")
-    out = np.empty((len(seeds), count, dimensions))
-    _fill(numbers, first_dimension, np.asarray(seeds, np.uint64), out)
+def sobol_points(seeds: NDArray[np.uint64], number: Ints, dimensions: int) -> Floats:
+    """(n, dimensions) points in the open interval (0, 1): point `number` (n,) of the Sobol' sequence under the
+    scrambling of a seed (n,). Points that follow one another in the sequence are fastest in this order."""
+    words = direction_numbers()
+    if dimensions > len(words):
+        raise ValueError(f"dimensions up to {len(words)} are tabulated, {dimensions} asked for")
+    out = np.empty((len(number), dimensions))
+    _fill(words, seeds, number, out)
     return out
+
+
+def scrambled_sobol(seeds: NDArray[np.uint64], count: int, dimensions: int) -> Floats:
+    """(s, count, dimensions) points in the open interval (0, 1): the first of s independent scramblings, one for each
+    seed (s,), of one Sobol' sequence."""
+    number = np.tile(np.arange(count), len(seeds))
+    return sobol_points(np.repeat(seeds, count), number, dimensions).reshape(len(seeds), count, dimensions)
 
 
 def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[np.uint64]:

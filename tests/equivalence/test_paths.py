@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
-from datagen import Capture, Lambertian, Laser, Part, Scene, Sensor
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor
 from datagen.records import Transient
-from datagen.transport.brdf import MaterialTable
-from datagen.transport.paths import AT_ONCE, path_light, sample_paths
-from datagen.transport.rays import Raycaster
+from datagen.seeding import LightStream
+from datagen.transport.path_light import Rows
+from datagen.transport.paths import AT_ONCE, sample_paths
+from datagen.transport.problem import Problem
 from datagen.transport.reference import pairs_of, reference
+from datagen.transport.sampling import stream_seeds
 from datagen.units import time_from_path
 
 RUNS, LEVEL = 16, 1e-4
@@ -65,10 +67,6 @@ def test_in_fog_with_the_direct_return_and_five_bounces(laser: tuple[float, floa
     scene = replace(furnished_box(0.8), attenuation_per_m=0.3)
     capture = one_point_capture(laser, (0, 0.2, 1.2), 0.15, bins_of_path(96, 0.25, 0.0))
     hold(scene, replace(capture, time=replace(capture.time, origin=origin)), max_bounces=5, direct=True)
-
-
-def test_without_asking_what_stands_before_the_pixel() -> None:
-    hold(furnished_box(), one_point_capture(time=bins_of_path(96, 0.25, 0.0)), occlusion=False, direct=True)
 
 
 @pytest.mark.parametrize("bounces", [1, 2])
@@ -135,36 +133,27 @@ def replace_cells(capture: Capture) -> Capture:
 
 
 def test_light_is_that_of_the_paths() -> None:
-    """`path_light` adds up the paths of `sample_paths` by row and bin, also before and after the window; and two
-    shorter runs, of which one goes on where the other ends, are one longer run."""
+    """`Rows.light` adds up the paths of `sample_paths` by row and bin, also before and after the window."""
     scene, capture = scene_of("ggx 0.6", "box"), CAPTURES["confocal"]()
     time = replace(capture.time, start_s=float(time_from_path(2.0)), bins=20)
     capture = replace(capture, time=time)
-    caster, materials, pairs = Raycaster(scene), MaterialTable.of(scene.materials), pairs_of(capture)
-    parts, samples = len(scene.part_names), 4096
+    problem = Problem.of(scene, capture, Accuracy(samples=1), seed=3, split_parts=True)
+    pairs, parts, samples = pairs_of(capture), len(scene.part_names), 4096
     # Single bounces into row 0, primaries by part, all higher orders into the last row; those of two bounces nowhere.
     table = np.stack([np.zeros(parts), -np.ones(parts), 1 + np.arange(parts), np.full(parts, parts + 1)]).astype(int)
-
-    def light(samples: int, first: int) -> NDArray[np.float64]:
-        return path_light(
-            caster, scene, materials, capture, pairs, samples, row_of=table, rows=parts + 2, max_bounces=5,
-            direct=True, seed=3, first_sample=first,
-        )  # fmt: skip
-
-    whole = light(samples, 0)
+    light = Rows({"all": slice(0, parts + 2)}, table, last=5, direct=True).light(problem, pairs, samples, (7,))
     paths = sample_paths(
-        caster, scene, materials, capture, pairs, samples, max_bounces=5, direct=True, seed=3
+        problem.caster, scene, problem.materials, capture, pairs, samples, max_bounces=5, direct=True,
+        seed=int(stream_seeds(3, LightStream.PATHS, 7)[0]),
     )  # fmt: skip
     assert len(pairs) * samples <= AT_ONCE
-    expected = np.zeros_like(whole)
+    expected = np.zeros_like(light)
     row = table[np.minimum(paths.order, 4) - 1, paths.part]
     column = np.clip(np.floor((time_from_path(paths.path_m) - time.start_s) / time.width_s), -1, time.bins) + 1
-    np.add.at(expected, (paths.pair[row >= 0], row[row >= 0], column.astype(int)[row >= 0]), paths.photons[row >= 0])
+    np.add.at(expected, (row[row >= 0], paths.pair[row >= 0], column.astype(int)[row >= 0]), paths.photons[row >= 0])
     # There is light before and after the window, and in each row but that of three bounces by way of the wall.
-    assert (expected.sum(axis=(0, 1))[[0, -1]] > 0).all() and (expected.sum(axis=(0, 2)) > 0).sum() == parts + 1
-    np.testing.assert_allclose(whole, expected, rtol=1e-12, atol=0)
-    halves = (light(samples // 4, 0) + 3 * light(3 * samples // 4, samples // 4)) / 4
-    np.testing.assert_allclose(halves, whole, rtol=1e-9, atol=1e-12 * whole.max())
+    assert (expected.sum(axis=(0, 1))[[0, -1]] > 0).all() and (expected.sum(axis=(1, 2)) > 0).sum() == parts + 1
+    np.testing.assert_allclose(light, expected, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize("draw", [pytest.param(None, marks=pytest.mark.nightly), sample_paths])

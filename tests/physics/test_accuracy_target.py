@@ -13,7 +13,7 @@ from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sens
 from datagen.bench.plain_check import PlainPaths
 from datagen.errors import InputError
 from datagen.records import Material, Transient
-from datagen.transport.blocks import Blocks
+from datagen.transport.blocks import Blocks, BlocksOf
 from datagen.transport.effort import REPLICATES, estimated
 from datagen.transport.problem import Problem
 
@@ -127,10 +127,10 @@ def test_a_few_blocks_find_the_light_between_touching_surfaces(material: Materia
     for name, last in (("secondary", 4), ("higher", 5)):
         ours = np.empty(RUNS)
         for seed in range(RUNS):
-            blocks = Blocks(Problem.of(scene, capture, accuracy, seed, split_parts=False))
+            blocks = BlocksOf(Blocks(Problem.of(scene, capture, accuracy, seed, split_parts=False)), last)
             light = np.zeros((1, AXIS.bins + 2), np.float32)
             for number in range(256):
-                blocks.add(0, 0, number, last, light)
+                blocks.add(0, 0, number, light)
             ours[seed] = light[:, 1:-1].sum() * blocks.unit / 256
         wanted = truth.runs[name].sum(axis=(1, 2))
         allowed = stats.t.isf(LEVEL / 8, len(wanted) - 1) * np.hypot(stats.sem(ours), stats.sem(wanted))

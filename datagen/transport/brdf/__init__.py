@@ -9,13 +9,12 @@ Surfaces do not transmit: a direction below the surface gets no light.
 from datagen.transport.brdf.albedo import albedo
 from datagen.transport.brdf.directions import Vector, cosine_directions, dot, in_frame_of, sample_cosine
 from datagen.transport.brdf.models import evaluate, evaluate_at_most, pdf, sample, widen
-from datagen.transport.brdf.table import LAMBERTIAN, MODELS, Materials, MaterialTable, lobe_width, model_of
+from datagen.transport.brdf.table import LAMBERTIAN, MODELS, MaterialTable, lobe_width, model_of
 
 __all__ = [
     "LAMBERTIAN",
     "MODELS",
     "MaterialTable",
-    "Materials",
     "Vector",
     "albedo",
     "cosine_directions",

@@ -32,8 +32,7 @@ NODES = 2 * PANELS + 1
 FIRST_NODE = 4
 FIRST_SHARE = FIRST_NODE + NODES
 MARGIN = 1e-4
-"""Added to the tabulated E, more than interpolation can miss, so that the albedo never exceeds 1. Half of it would
-halve the light that this takes away, but may be less than interpolation misses."""
+"""Added to the tabulated E, more than interpolation can miss, so that the albedo never exceeds 1."""
 
 HALF_WIDTH = 1.3
 """Half width at half maximum of the lobe at normal incidence, rad, over α."""

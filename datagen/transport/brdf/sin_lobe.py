@@ -11,11 +11,9 @@ from datagen.records.arrays import Floats
 from datagen.records.materials import SinLobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
 
-MEAN_SINE = 2.0 / math.pi
-"""Mean of |sin θ| over all azimuths, used where the azimuth is undefined."""
 ALONG_SQUARED = 1e-12
 """Squared length of a projection on the surface below which its direction counts as rounding noise and the azimuth as
-undefined; half of it moves that limit to directions closer to the normal by 1/√2."""
+undefined."""
 
 
 def row(material: SinLobe) -> tuple[float, ...]:
@@ -48,7 +46,8 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
     p = (w[0] - along_w * n[0], w[1] - along_w * n[1], w[2] - along_w * n[2])
     tt, pp = dot(t, t), dot(p, p)
     if tt < ALONG_SQUARED or pp < ALONG_SQUARED:
-        return MEAN_SINE
+        # Where the azimuth is undefined, the mean over all azimuths.
+        return 2.0 / math.pi
     cross = (t[1] * p[2] - t[2] * p[1], t[2] * p[0] - t[0] * p[2], t[0] * p[1] - t[1] * p[0])
     return min(abs(dot(cross, n)) / math.sqrt(tt * pp), 1.0)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,14 +45,7 @@ MODELS = (
 )
 
 NARROWEST_ROW = 4
-"""Least number of columns of a table, enough for most models; half of it would only make some tables narrower."""
-
-
-class Materials(NamedTuple):
-    """The fields of a `MaterialTable` as a tuple, which compiled loops can take."""
-
-    kind: Ints | NDArray[np.uint8]
-    values: Floats
+"""Least number of columns of a table, enough for most models, so that kernels seldom meet another width."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +71,6 @@ class MaterialTable:
             place[: len(row)] = row
         kind = np.array([kind for kind, _ in described], np.int64)
         return cls(kind if kind.any() else kind.astype(np.uint8), values)
-
-    @property
-    def arrays(self) -> Materials:
-        """The table for compiled loops."""
-        return Materials(self.kind, self.values)
 
 
 def model_of(material: Material) -> Model:
