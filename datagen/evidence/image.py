@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
 from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.rays import Raycaster, lifted_and_scaled
-from datagen.transport.weights import weight
+from datagen.transport.weights import Brdf, End, brdf_of, weight
 from datagen.units import path_from_time
 
 SCAN_PAIRS = 16
@@ -135,11 +135,11 @@ def evidence_image(
     # One pair after the other, which bounds the memory that its rays take.
     for pair, times in enumerate(scan_pairs.times):
         on_wall, in_view = lasers.part[pair], seen.part[pair, 0]
+        brdfs = [Brdf(materials.kind[k], materials.values[k, 0], k) for k in (on_wall, in_view)]
+        x, n1, to_laser = (tuple(of[pair]) for of in (lasers.position, lasers.normal, lasers.to_laser))
+        z, n3, to_sensor = (tuple(of[pair, 0]) for of in (seen.position, seen.normal, seen.to_sensor))
         ends = _Ends(
-            (tuple(lasers.position[pair]), tuple(lasers.normal[pair]), tuple(lasers.to_laser[pair]),
-             materials.kind[on_wall], materials.values[on_wall]),
-            (tuple(seen.position[pair, 0]), tuple(seen.normal[pair, 0]), tuple(seen.to_sensor[pair, 0]),
-             materials.kind[in_view], materials.values[in_view]),
+            End(x, n1, to_laser, brdfs[0]), End(z, n3, to_sensor, brdfs[1]),
             seen.footprint[pair, 0], seen.weight[pair, 0], lasers.leg[pair] + seen.last_leg[pair, 0],
         )  # fmt: skip
         detections = _unoccluded_detections(
@@ -172,11 +172,11 @@ class _Points(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """Both ends of the paths of a scan pair: the first and the last vertex (point, normal, direction to the device,
-    kind and values of the BRDF), area of the footprint (m²), the sensor's share, and the legs to the devices (m)."""
+    """Both ends of the paths of a scan pair: the first and the last vertex, area of the footprint (m²), the sensor's
+    share, and the legs to the devices (m)."""
 
-    lit_from: tuple[Any, ...]
-    seen_from: tuple[Any, ...]
+    lit_from: End
+    seen_from: End
     footprint_m2: float
     sensor_share: float
     legs_m: float
@@ -209,11 +209,10 @@ def _unoccluded_detections(  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         place, n, p = get(points.position, i, 0), get(points.normal, i, 0), points.part[i]
         # The side of the surface that the label shows is dark if the laser point lies behind it.
-        if dot(subtract(ends.lit_from[0], place), n) <= 0.0:
+        if dot(subtract(ends.lit_from.point, place), n) <= 0.0:
             continue
-        w, r1, r3 = weight(
-            place, n, kind[p], values[p], ends.lit_from, ends.seen_from, ends.footprint_m2, attenuation
-        )  # fmt: skip
+        brdf = brdf_of(kind, values, p)
+        w, r1, r3 = weight(place, n, brdf, ends.lit_from, ends.seen_from, values, ends.footprint_m2, attenuation)
         arrival = math.floor((r1 + r3 + (ends.legs_m if from_source else 0.0)) / bin_m - first)
         if w > 0.0 and 0 <= arrival < len(gain):
             out[i] = (

@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import compiled
+from datagen.compiled import FAST, compiled
 from datagen.records.arrays import Bools, Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, cosine_directions, dot, evaluate, pdf, sample
@@ -59,8 +59,6 @@ PAIRS = 8
 """Pairs of vertices kept in a block, in units of F, where a group has few laser points and pixels."""
 LONGEST = 400
 """Bounces at which paths end that have no limit: a path survives so many once in 10⁹."""
-FAST = {"reassoc", "contract", "arcp", "nsz"}
-"""What LLVM may do to sums and products in loops over ends and pairs: they become vector instructions."""
 NEAREST = 1e-9
 """Legs shorter than this, relative to the scene's half extent, carry no light: rounding decides about them."""
 ADDED = 0.02

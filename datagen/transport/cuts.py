@@ -25,7 +25,8 @@ from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
-from datagen.transport.cut_steps import COARSE, STACK, Batch, Room, emit, legs_of, pour_all
+from datagen.transport.cut_elements import Room, Walk
+from datagen.transport.cut_steps import COARSE, Batch, emit, legs_of, pour_all
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
@@ -118,7 +119,7 @@ class Cuts:
         bin_m = float(path_from_time(axis.width_s))
         air = scene.attenuation_per_m
         self.room = Room(
-            materials.kind, materials.values, peak, width, outer_sides(scene), points,
+            self.tree, materials.kind, materials.values, peak, width, outer_sides(scene), points,
             np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
             axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
             ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent,
@@ -128,7 +129,6 @@ class Cuts:
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
-        self.waiting = np.empty((STACK, 5), np.int64), np.empty((STACK, 15))
         self.expected = np.zeros(2)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
@@ -177,12 +177,9 @@ class Cuts:
         the number of samples of each part."""
         slot, samples = np.full(len(delta), -1), np.zeros(len(active), np.int64)
         slot[active] = np.arange(len(active))
-        at, numbers, state = np.zeros(4, np.int64), np.empty(3), np.empty(1, np.uint64)
-        while at[0] < len(pairs):
-            used = emit(
-                pairs, delta, slot, replicate, seed, self.tree, self.room, pool, *self.waiting, at, numbers, state,
-                self.expected, self.batch,
-            )  # fmt: skip
+        walk = Walk.of()
+        while walk.at[0] < len(pairs):
+            used = emit(pairs, delta, slot, replicate, seed, self.room, pool, walk, self.expected, self.batch)
             visible = self.every[:used]
             samples += np.bincount(self.batch.row[:used] // len(pairs), minlength=len(active))
             for leg in range(2):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ SQUARES = (16, 256)
 """Squares of a pixel with a FoV point each, powers of 4: of flat pixels where no lobe is narrow, and of others."""
 NARROW = 0.2
 """Half width of a lobe, rad, below which flat pixels have as many squares as all others."""
+SAGITTA = 0.1
+"""Arc of the arrival times over a cluster, bins, up to which they count as linear."""
 FLAT = 1e-6
 """Sine of the angle between normals, and thickness in metres, up to which points lie on one flat surface."""
 
@@ -95,8 +98,9 @@ def squares_of(problem: Problem, lobe: Floats, bin_m: float, rng: np.random.Gene
             for some in np.array_split(pixels, 1 + len(pixels) // 4096)
         ]
     )
-    # Seen from as far as it is wide, a square has times that are linear over it, within a tenth of a bin.
-    is_small = 1.25 * root[:, 6] < SQUARES[0] * bin_m
+    # Times over a square of a pixel that is seen from as far as the pixel is wide.
+    radius = root[:, 6] / math.sqrt(SQUARES[0])
+    is_small = 0.25 * radius**2 < SAGITTA * 2.0 * root[:, 6] * bin_m
     return np.where(is_flat(root) & is_small & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
 
 

@@ -13,51 +13,51 @@ TINY = 1e-200
 """Distances, areas and densities below this are 0: far less than any that light has, and still safe to divide by."""
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def subtract(a, b):  # type: ignore[no-untyped-def]
     """The difference a − b of two vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def cross(a, b):  # type: ignore[no-untyped-def]
     """The vector product a × b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def distance(a, b):  # type: ignore[no-untyped-def]
     """The distance |a − b| of two points."""
     d = subtract(a, b)
     return np.sqrt(dot(d, d))
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def transmittance(attenuation, path):  # type: ignore[no-untyped-def]
     """Transmittance of air on a path of some metres, 0 … 1; `attenuation` in 1/m."""
     # Most scenes have clear air: testing for it is cheaper than an exponential.
     return math.exp(-attenuation * path) if attenuation > 0.0 else 1.0
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def get(rows, k, j):  # type: ignore[no-untyped-def]
     """The vector in columns j, j + 1 and j + 2 of row k."""
     return (rows[k, j], rows[k, j + 1], rows[k, j + 2])
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def put(rows, k, j, v):  # type: ignore[no-untyped-def]
     """Write the vector v to columns j, j + 1 and j + 2 of row k."""
     rows[k, j], rows[k, j + 1], rows[k, j + 2] = v[0], v[1], v[2]
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def corner(corners, f, k):  # type: ignore[no-untyped-def]
     """Corner k of triangle f, of corners (F, 3, 3)."""
     return (corners[f, k, 0], corners[f, k, 1], corners[f, k, 2])
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def longest(a, b, c):  # type: ignore[no-untyped-def]
     """Number (0 for ab, 1 for bc, 2 for ca) and length of the longest side of a triangle."""
     # Squares compare as lengths do, so one root is enough.
@@ -66,7 +66,7 @@ def longest(a, b, c):  # type: ignore[no-untyped-def]
     return 0 if ab >= bc and ab >= ca else 1 if bc >= ca else 2, math.sqrt(max(ab, bc, ca))
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def bounding_sphere(box, k):  # type: ignore[no-untyped-def]
     """Centre and radius of the bounding sphere of box k; a box is its lowest and its highest corner."""
     size = (box[k, 3] - box[k, 0], box[k, 4] - box[k, 1], box[k, 5] - box[k, 2])
@@ -74,7 +74,7 @@ def bounding_sphere(box, k):  # type: ignore[no-untyped-def]
     return middle, 0.5 * np.sqrt(dot(size, size))
 
 
-@compiled(fastmath={"reassoc", "contract", "arcp", "nsz"})
+@compiled()
 def above(box, k, x, n):  # type: ignore[no-untyped-def]
     """Signed height of the highest corner of box k above the plane through x with unit normal n."""
     # The highest corner takes, axis by axis, the side of the box that lies further along n.
