@@ -107,20 +107,20 @@ class Batch(NamedTuple):
         )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _random(state):  # type: ignore[no-untyped-def]
     """The next number in 0 … 1 of a stream, whose state is state[0] (Knuth's linear congruential generator)."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return (np.float64(state[0] >> np.uint64(33)) + 0.5) * 2.0**-31
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _fraction(u):  # type: ignore[no-untyped-def]
     """The part of u ≥ 0 after the point."""
     return u - math.floor(u)
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     """The point of a triangle with some barycentric coordinates."""
     return (
@@ -129,7 +129,7 @@ def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     """A point of a triangle, drawn with a density that is linear between its corners, from (u, v) in the unit
     square."""
@@ -142,7 +142,7 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     return t if which == 0 else a, t if which == 1 else a if which == 0 else b, t if which == 2 else b
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
     """Mean change of the path by way of y over a flat cluster with the middle z, and its changes along the two sides,
     metres.
@@ -167,19 +167,19 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: igno
     return mean, one, two
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _place(i, j, parts):  # type: ignore[no-untyped-def]
     """Number of the corner i, j of a triangle whose sides are divided into so many parts."""
     return i * (2 * parts + 3 - i) // 2 + j
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _corners_of_part(i, j, down, parts):  # type: ignore[no-untyped-def]
     """Numbers of the corners of part i, j: the one that stands upright, or the one beside it that is upside down."""
     return _place(i + down, j, parts), _place(i + 1, j + down, parts), _place(i, j + 1, parts)
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _drawn_part(at, parts, u):  # type: ignore[no-untyped-def]
     """A part, drawn by its light; u as a new random number; and three times the light of all parts, each of which has
     the unit of area."""
@@ -202,7 +202,7 @@ def _drawn_part(at, parts, u):  # type: ignore[no-untyped-def]
     return i, j, down, 0.5, total
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
     """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes."""
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
@@ -241,7 +241,7 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
     return Hidden(y, n, density, (y, y, y) if is_box else (y0, y1, y2), level, bend)
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type: ignore[no-untyped-def]
     """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all."""
     q, many, total, chosen = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1
@@ -262,7 +262,7 @@ def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type
     return chosen, total
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
     """Sets the ends (3, 3) of a sample's rays, lifted off their surfaces."""
     side = room.offset if dot(subtract(lit.point, hidden.point), hidden.normal) > 0.0 else -room.offset
@@ -271,7 +271,7 @@ def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
     ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # type: ignore[no-untyped-def]
     """Sets the times (15,) of a sample by way of FoV point z, and their change (2,) over the cluster, bins.
 
@@ -295,7 +295,7 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
     change[0], change[1] = one * per, two * per
 
 
-@compiled(forceinline=True, fastmath=FAST)
+@compiled(forceinline=True, fastmath=FAST, allocates=False)
 def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`; returns whether it brings light."""
     hidden = _drawn(walk, top, piece, room, surface, pair.lit, seen, batch.at[used])
@@ -314,7 +314,7 @@ def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expect
     return True
 
 
-@compiled(fastmath=FAST)
+@compiled(fastmath=FAST, allocates=False)
 def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
@@ -384,7 +384,7 @@ def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch)
     return used
 
 
-@compiled(fastmath=FAST)
+@compiled(fastmath=FAST, allocates=False)
 def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
     """Sets origins and spans (…, 3) of the rays from the hidden points of some samples to the laser point (leg 0) or
     the FoV point (leg 1)."""
@@ -394,7 +394,7 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
             origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
 
 
-@compiled(fastmath=FAST)
+@compiled(fastmath=FAST, allocates=False)
 def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
 
