@@ -56,8 +56,6 @@ def house_style() -> Iterator[None]:
         "axes.spines.right": False,
         "legend.fontsize": 8.0,
         "legend.frameon": False,
-        # A dollar sign in a name is a dollar sign.
-        "text.parse_math": False,
         "svg.hashsalt": "datagen",
     }
     with matplotlib.rc_context({**defaults, **ours}), warnings.catch_warnings():
@@ -66,9 +64,14 @@ def house_style() -> Iterator[None]:
         yield
 
 
+def plain(text: str) -> str:
+    """Text for matplotlib, which would read a formula between two dollar signs."""
+    return text.replace("$", r"\$")
+
+
 def short(name: str, letters: int = NAME_LETTERS) -> str:
     """A name as legends and titles show it: cut where it is long."""
-    return name if len(name) <= letters else f"{name[: letters - 1]}…"
+    return plain(name if len(name) <= letters else f"{name[: letters - 1]}…")
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
@@ -114,10 +117,10 @@ def captioned(
     if not arranged:
         figure.subplots_adjust(bottom=0, top=1 - 0.6 / height)
     if title:
-        figure.suptitle(" ".join(title.split()), fontweight="bold", y=None if arranged else 1 - 0.1 / height)
+        figure.suptitle(plain(" ".join(title.split())), fontweight="bold", y=None if arranged else 1 - 0.1 / height)
     caption = figure.add_subplot(grid[len(heights_in), :])
     caption.set_axis_off()
-    written = caption.text(0, 1, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
+    written = caption.text(0, 1, plain("\n".join(lines)), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
     # Its row is high enough already; in the layout, long lines would take space from the pictures.
     written.set_in_layout(False)
     return figure, grid
