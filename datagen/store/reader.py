@@ -286,7 +286,8 @@ class DatasetReader:
         """Field → size of its file, and digests of the scenes, as the record of a shard states them."""
         if shard not in self._records:
             record = read_record(self._root, shard)
-            wrong = record.mismatch(self._schema, self._manifest.fingerprint) if record else "is not committed"
+            due = self._schema, self._manifest.fingerprint
+            wrong = record.mismatch(*due, grown=True) if record else "is not committed"
             if record is None or wrong:
                 raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")
             self._records[shard] = {

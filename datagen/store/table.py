@@ -121,7 +121,7 @@ def rows_of(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> pa.Ta
 def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa.Table:
     """Columns of the table of a dataset (None: all columns).
 
-    scenes : the number of rows that it must have.
+    scenes : the number of rows, the first of the table: it has more if the dataset has grown since it was opened.
 
     Raises `CheckError` if the file has another hash than `croissant.json` states, `InputError` for an unknown column.
     """
@@ -140,13 +140,13 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
                     f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
                 )
             file = parquet_file(stored)
-            if file.metadata.num_rows != scenes:
+            if file.metadata.num_rows < scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names
             for name in columns or ():
                 if name not in known:
                     raise InputError(f"parameters: {name!r} is no column of {path}; it has {', '.join(known)}")
-            return rows_of(file, columns)
+            return rows_of(file, columns).slice(0, scenes)
     except (pa.ArrowException, OSError) as error:
         raise CheckError(f"{path}: cannot be read ({' '.join(str(error).split())}); {remedy}") from None
 
