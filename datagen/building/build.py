@@ -133,7 +133,8 @@ def build(
         output.fetch()
         config = _with_exposure(root, config)
         plan = store.planned(root, config)
-        store.check_writable(root)
+        for folder in store.build_folders(root, plan):
+            store.check_writable(folder)
         wanted = parse_shards(shards, plan.schema.shards)
         # The bytes of shards that are not wanted stay as they are, so nothing is gained by reading them.
         asked = {*wanted}

@@ -85,6 +85,20 @@ def folder_of(info: ValidationInfo) -> Path:
     return Path((info.context or {}).get("base_directory") or ".")
 
 
+def is_stored(info: ValidationInfo) -> bool:
+    """Whether the settings are those that a dataset stores. They may be anybody's, and have the values of the files
+    that they were read from; mesh files alone they name by their paths."""
+    return not (info.context or {}).get("look_for_files", True)
+
+
+def named_file(info: ValidationInfo, path: str) -> Path:
+    """The file that a setting names, whose values take the setting's place. Raises `ValueError` in stored settings:
+    their paths may lead anywhere."""
+    if is_stored(info):
+        raise ValueError(f"{path!r}: a path, where a dataset has the values of the file; build the dataset anew")
+    return folder_of(info) / path
+
+
 def _input_error(source: str, error: pydantic.ValidationError, model: type[BaseModel]) -> InputError:
     """The first problem in `error`: source, key, value, what is allowed."""
     details = error.errors(include_url=False)

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from datagen.config.base import Settings, folder_of, from_plain
+from datagen.config.base import Settings, folder_of, from_plain, is_stored, named_file
 from datagen.config.device import DeviceConfig, read_device
 from datagen.config.distributions import Distribution, Length, Uniform, within
 from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
@@ -65,8 +65,11 @@ class TimeConfig(Settings):
 def _named_device(value: Any, info: ValidationInfo) -> Any:
     """The device of a name, of a file's path, or of plain values."""
     if isinstance(value, str):
+        named_file(info, value)
         return read_device(value, DeviceConfig, folder_of(info))
-    return from_plain(DeviceConfig, value, "device", folder_of(info)) if isinstance(value, dict) else value
+    if not isinstance(value, dict):
+        return value
+    return from_plain(DeviceConfig, value, "device", folder_of(info), look_for_files=not is_stored(info))
 
 
 NamedDevice = Annotated[DeviceConfig, BeforeValidator(_named_device, json_schema_input_type=str | DeviceConfig)]

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self, TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from datagen.config.base import Settings, folder_of, from_plain, near_hint
+from datagen.config.base import Settings, from_plain, named_file, near_hint
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records import Pairing, TimeAxis
@@ -85,7 +85,7 @@ class Zones(Settings):
     def _map_read(self, info: ValidationInfo) -> Self:
         """Take boxes and weights from the file `map`, so that a device holds all that it consists of."""
         if self.map is not None:
-            (left, right, bottom, top), weights = _read_map(folder_of(info) / self.map, self.count)
+            (left, right, bottom, top), weights = _read_map(named_file(info, self.map), self.count)
             box = ((left + right) / 2, (bottom + top) / 2, right - left, top - bottom)
             object.__setattr__(self, "boxes", (box,) * len(weights))
             object.__setattr__(self, "weights", tuple(tuple(map(tuple, zone)) for zone in weights.tolist()))

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
-from datagen.config.base import check_known, folder_of
+from datagen.config.base import check_known, folder_of, is_stored
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, within
 from datagen.config.scene_materials import SurfaceMaterial
 from scene_library.meshes import SUFFIXES
@@ -163,7 +163,7 @@ class MeshItem(Standing):
     def _found_from(self, info: ValidationInfo) -> Self:
         self._base = folder_of(info).resolve()
         # The settings of a stored dataset are read even where its files are gone.
-        if info.context is not None and info.context.get("look_for_files", True):
+        if info.context is not None and not is_stored(info):
             self._look()
         return self
 

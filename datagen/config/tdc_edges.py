@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, ValidationInfo
 
-from datagen.config.base import folder_of
+from datagen.config.base import named_file
 from datagen.errors import InputError, TooLargeError
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_tdc_edges
@@ -70,7 +70,7 @@ def _check_number(path: Path, number: int) -> None:
 def _measured(value: Any, info: ValidationInfo) -> Any:
     """Edges of a file's path or of numbers, which a dataset stores."""
     if isinstance(value, str):
-        return read_tdc_edges(folder_of(info) / value)
+        return read_tdc_edges(named_file(info, value))
     return tuple(tuple(row) for row in as_tdc_edges("edges", value).tolist())
 
 

@@ -13,7 +13,7 @@ from datagen.formats.plain import write_h5, write_npz
 from datagen.formats.recording import QUANTITIES
 from datagen.formats.tal import write_tal
 from datagen.records.checks import numbers_of
-from datagen.store.files import PARTIAL
+from datagen.store.files import PARTIAL, check_writable
 from datagen.store.scenes import Scenes
 
 FORMATS = ("tal", "mat", "npz", "h5", "glb", "hub")
@@ -46,6 +46,7 @@ def export(
     if field is not None and (format not in _MEASURED or field not in QUANTITIES):
         raise InputError(f"--field {field}: must be one of {', '.join(QUANTITIES)}, with --format tal or mat")
     root, target = Scenes(dataset), Path(out)
+    check_writable(target)
     try:
         if format == "hub":
             if scenes is not None:

@@ -42,8 +42,8 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
     """Write the folder; returns the paths of its tables and its card. Files of the dataset are linked if possible,
     else copied.
 
-    Raises `InputError` for a dataset that is not complete, more files than the Hub accepts, and an output folder with
-    other files in it.
+    Raises `InputError` for a dataset that is not complete, or has links or unknown splits, more files than the Hub
+    accepts, and an output folder with other files in it.
     """
     root, schema = scenes.root, scenes.manifest.schema
     if not isinstance(root, Path):
@@ -52,17 +52,23 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
         )
     if not (root / TABLE).is_file():
         raise InputError(f"{root}: is not complete; run the same `datagen build` again, then export it")
-    files = [path for path in sorted(root.rglob("*")) if path.is_file()]
+    there = sorted(root.rglob("*"))
+    for path in there:
+        if path.is_symlink():
+            raise InputError(
+                f"{path}: is a symbolic link, and what it leads to may be private; put a copy there (cp -rL copies a "
+                "dataset without links), then export it"
+            )
+    files = [path for path in there if path.is_file()]
     _check_limits(root, files)
     if out.exists() and any(out.iterdir()) and not (out / VIEWER).is_dir():
         raise InputError(f"output {out}: holds other files; name a new or an empty folder")
-    for path in files:
-        _link(path, out / DATASET / path.relative_to(root))
     table = read_table(root, None, schema.scenes)
     kept = [name for name in table.column_names if not name.startswith(("sha256.", "stats.")) and name != "failure"]
     written = []
-    splits = table["split"].to_pylist() if "split" in table.column_names else ["train"] * schema.scenes
-    failed = table["failure"].is_valid().to_pylist()
+    splits, failed = _splits(scenes, table), table["failure"].is_valid().to_pylist()
+    for path in files:
+        _link(path, out / DATASET / path.relative_to(root))
     (out / VIEWER).mkdir(exist_ok=True)
     names = dict.fromkeys(split for split, no in zip(splits, failed, strict=True) if not no)
     for split in names:
@@ -73,6 +79,20 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
     card = (root / CARD).read_text(encoding="utf-8")
     write_if_changed(out / CARD, _with_configs(card, [str(name) for name in names]).encode())
     return [*written, out / CARD]
+
+
+def _splits(scenes: Scenes, table: pa.Table) -> list[str | None]:
+    """The split of each scene. Files are named after splits, so `InputError` is raised for a split that the dataset
+    does not have."""
+    splits = table["split"].to_pylist() if "split" in table.column_names else ["train"] * table.num_rows
+    known = scenes.manifest.splits().names
+    for split in dict.fromkeys(splits):
+        if split is not None and split not in known:
+            raise InputError(
+                f"{scenes.root / TABLE}: split {split!r} is none of {', '.join(known)}; run the same `datagen build` "
+                "again to write it anew"
+            )
+    return splits
 
 
 def _check_limits(root: Path, files: list[Path]) -> None:

@@ -6,9 +6,10 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import pydantic
 import torch
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -26,6 +27,8 @@ from datagen.store.schema import Field
 if TYPE_CHECKING:
     from datagen.detector import Exposure, Spad
 
+
+Section = TypeVar("Section", bound=pydantic.BaseModel)
 
 TRANSIENT_OF = {"histogram": "transient", "background_histogram": "background_transient"}
 _PURPOSE = {"transient": Purpose.LOADER, "background_transient": Purpose.LOADER_BACKGROUND}
@@ -45,9 +48,9 @@ class NoiseSource:
         config = manifest.config
         try:
             # Other sections are not parsed, because mesh files that they name may be gone.
-            self._detector = DetectorConfig.model_validate_json(json.dumps(config["detector"]))
-            self._effects = EffectsConfig.model_validate_json(json.dumps(config.get("effects", {})))
-            self._time = CaptureConfig.model_validate_json(json.dumps(config["capture"])).time.axis()
+            self._detector = _stored(DetectorConfig, config["detector"])
+            self._effects = _stored(EffectsConfig, config.get("effects", {}))
+            self._time = _stored(CaptureConfig, config["capture"]).time.axis()
         except (KeyError, ValueError) as error:
             what = " ".join(str(error).split())
             raise InputError(f"redraw_noise: the dataset's own configuration cannot be used ({what})") from None
@@ -89,6 +92,11 @@ class NoiseSource:
         seen = transient.astype(np.float64)
         plan = decide_detector_effects(seen, self._time, *given, self._effects, self._detector.tolerance)
         return plan.apply_detector(*given, self._detector.tolerance)
+
+
+def _stored(model: type[Section], values: object) -> Section:
+    """A section of the configuration that a dataset stores."""
+    return model.model_validate_json(json.dumps(values), context={"look_for_files": False})
 
 
 class DrawCounter:

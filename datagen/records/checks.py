@@ -12,6 +12,8 @@ from datagen.records.arrays import Floats
 
 LONGEST_SHOWN = 60
 """Most characters of a value in an error message, enough for a short list; longer ones are shown by their type."""
+LONGEST_NAME = 100
+"""Most characters of a name: a longer one would fill the legend of a picture."""
 TDC_PERIOD_ACCURACY = 1e-5
 """Relative accuracy to which the edges of a TDC's bins must fill its period, such as those of rounded tables:
 a bin of 2.5 ns / 140 may be written as 17.857 ps."""
@@ -40,6 +42,16 @@ def check_flag(name: str, value: object, remedy: str = "") -> None:
     """Raise `InputError` unless `value` is True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} = {shown(value)}: must be True or False{f'; {remedy}' if remedy else ''}")
+
+
+def check_name(name: str, value: object) -> None:
+    """Raise `InputError` unless `value` can name a part, a class or a parameter in a line of text."""
+    check_kind(name, value, str)
+    assert isinstance(value, str)
+    if not 1 <= len(value) <= LONGEST_NAME or not value.isprintable():
+        raise InputError(
+            f"{name} = {shown(value)}: must have 1 … {LONGEST_NAME} printable characters; choose a plainer name"
+        )
 
 
 def check_choice(name: str, value: object, allowed: tuple[str, ...]) -> None:

@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
-from datagen.records.checks import as_points, as_reals, check_choice, check_kind, check_number, check_places, shown
+from datagen.records.checks import (
+    as_points,
+    as_reals,
+    check_choice,
+    check_kind,
+    check_name,
+    check_number,
+    check_places,
+    shown,
+)
 from datagen.records.materials import Material
 
 if TYPE_CHECKING:
@@ -37,7 +46,7 @@ class Pose:
     axes: Floats
 
     def __post_init__(self) -> None:
-        check_kind("Pose.label", self.label, str)
+        check_name("Pose.label", self.label)
         axes = as_points("Pose.axes", self.axes, (3, 3))
         if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
             raise InputError(f"Pose.axes of {self.label!r}: its rows must be orthogonal unit vectors")
@@ -58,7 +67,7 @@ class Part:
 
     Attributes
     ----------
-    name : unique in its scene.
+    name : unique in its scene; up to 100 printable characters, of which the first is a letter or a digit, no comma.
     mesh : a `trimesh.Trimesh` in metres, or anything with `vertices` (V, 3), metres, and `faces` (F, 3), indices of
         vertices; triangles scatter on both sides, whichever way they are wound.
     material : how it scatters (`Lambertian`, `Phong`, `GGX` …).
@@ -81,7 +90,12 @@ class Part:
     pose: Pose | None = None
 
     def __post_init__(self) -> None:
-        check_kind("Part.name", self.name, str)
+        check_name("Part.name", self.name)
+        # A dataset lists the parts of a scene between commas, and a legend leaves out what begins with a mark.
+        if not self.name[0].isalnum() or "," in self.name:
+            raise InputError(
+                f"Part.name = {shown(self.name)}: must begin with a letter or a digit and have no comma; rename it"
+            )
         if not hasattr(self.mesh, "vertices") or not hasattr(self.mesh, "faces"):
             raise InputError(f"Part {self.name!r}: mesh = {shown(self.mesh)}: a trimesh.Trimesh in metres is needed")
         check_kind(f"Part {self.name!r}: material", self.material, Material, remedy="such as Lambertian(0.8)")
@@ -276,7 +290,8 @@ class Scene:
 def _scalars(parameters: Mapping[str, float | int | str | bool]) -> dict[str, float | int | str | bool]:
     check_kind("Scene.parameters", parameters, Mapping)
     for name, value in parameters.items():
-        if not isinstance(name, str) or not isinstance(value, (float, int, str, bool, np.generic)):
+        check_name("Scene.parameters: name", name)
+        if not isinstance(value, (float, int, str, bool, np.generic)):
             raise InputError(f"Scene.parameters[{shown(name)}] = {shown(value)}: text or a number needed")
     return dict(parameters)
 

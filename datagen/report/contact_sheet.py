@@ -17,7 +17,7 @@ from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.report.labels import DRAWN, draw_boxes, draw_label
 from datagen.report.rooms import RoomPicture, draw_opened, draw_plan, draw_sight
-from datagen.report.style import INK, captioned, check_png, house_style, save_png
+from datagen.report.style import INK, captioned, check_png, house_style, plain, save_png, short
 from datagen.scene import check_scene_config
 
 MOST_ROOMS = 400
@@ -69,7 +69,7 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, 
             for axes in (plan, opened):
                 axes.set_aspect("equal", adjustable="datalim")
             name = _name_of(room.scene, config.name if len(several) > 1 else "", index)
-            plan.set_title(name, fontsize=6.5, fontweight="normal", linespacing=1.25)
+            plan.set_title(plain(name), fontsize=6.5, fontweight="normal", linespacing=1.25)
         return save_png(figure, picture)
 
 
@@ -107,7 +107,7 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
             room = RoomPicture(scene)
             draw_plan(plan, room)
             draw_sight(plan, scene)
-            plan.set_title(f"{config.name} {index}")
+            plan.set_title(short(f"{config.name} {index}"))
             draw_opened(opened, room)
             labels = make_labels(config.labels, scene, fields)
             classes = classes_in(scene)

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from datagen.devices import Calibration, Comparison
 from datagen.records.arrays import Floats
-from datagen.report.style import EXPECTED, INK, check_png, new_figure, save_png
+from datagen.report.style import EXPECTED, INK, check_png, new_figure, plain, save_png
 
 MARGIN_BINS = 12
 """Bins shown before and after what is bright, for its tails."""
@@ -34,7 +34,7 @@ def draw_calibration(found: Calibration, path: str | Path) -> None:
     for axes, (values, label) in zip(rows[1], shown, strict=True):
         axes.plot(found.tested_m, values, ".", ms=4)
         axes.set(xlabel="distance of the plane (m)", ylabel=label)
-    figure.suptitle(f"{found.device.name}: the tested frames, a colour a zone below")
+    figure.suptitle(f"{plain(found.device.name)}: the tested frames, a colour a zone below")
     save_png(figure, check_png(path))
 
 
@@ -72,7 +72,7 @@ def draw_comparison(found: Comparison, path: str | Path) -> None:
     below[2].barh(list(found.left), [100 * share for share in found.left.values()], color=EXPECTED)
     below[2].invert_yaxis()
     below[2].set(xlabel="share of what is left that it would explain (%)", xlim=(0, 100))
-    figure.suptitle(f"{Path(found.source).name}, simulated as {Path(found.simulated_as).name}")
+    figure.suptitle(plain(f"{Path(found.source).name}, simulated as {Path(found.simulated_as).name}"))
     save_png(figure, check_png(path))
 
 

@@ -20,7 +20,7 @@ from datagen.devices import Device, zone_depth
 from datagen.effects import EFFECTS, EffectDecisions, plan_effects
 from datagen.records import Accuracy, Capture, Lambertian, Part, Scene, Transient
 from datagen.records.arrays import Floats
-from datagen.report.style import captioned, check_png, house_style, save_png
+from datagen.report.style import captioned, check_png, house_style, save_png, short
 from datagen.transport import transient_of
 from datagen.transport.rays import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
@@ -189,7 +189,7 @@ def _draw_view(axes: Axes, one: Seen, picture: Floats) -> None:
     (width, height), light, zones = VIEW, one.device.light, one.device.zones
     axes.imshow(picture, extent=(-width, width, -height, height), alpha=0.85)
     axes.set(xticks=[], yticks=[], xlim=(-width, width), ylim=(-height, height))
-    axes.set_ylabel(one.device.name, fontweight="bold", fontsize=11)
+    axes.set_ylabel(short(one.device.name), fontweight="bold", fontsize=11)
     half = half_tangents(light.field_deg)
     field = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
     axes.plot(*field.T, "--", color="#FF7F0E", lw=1.6)

@@ -35,8 +35,8 @@ _CUBE = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 
 def explorer(scenes: Sequence[dict[str, Any]]) -> str:
     """HTML with style and script that shows `scenes`, each made by `scene_data`."""
     page = (Path(__file__).parent / "explorer_page.html").read_text(encoding="utf-8")
-    # A closing tag within the data must not end the script.
-    return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("</", "<\\/"))
+    # No tag or comment of HTML within the data must end the script, or keep its own tag from doing so.
+    return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("<", "\\u003c"))
 
 
 def scene_data(stored: StoredScene, scene: Scene, error: float | None, replayed: Replay | None) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Floats
 from datagen.records.label_fields import LabelField, Look, drawn
 from datagen.report.replay import StoredScene
-from datagen.report.style import captioned, empty_note, part_colors
+from datagen.report.style import captioned, empty_note, part_colors, short
 
 DRAWN = drawn()
 _MOST_NAMES = 12
@@ -122,7 +122,8 @@ def draw_label(figure: Figure, axes: Axes, scene: Scene, field: str, values: NDA
     if image.look.colors == "parts":
         colors = part_colors(scene)
         seen = [scene.part_names[k] for k in np.unique(values) if k >= 0][:_MOST_NAMES]
-        handles = [Patch(facecolor=colors[name], edgecolor="#555555", linewidth=0.5, label=name) for name in seen]
+        edge: dict[str, Any] = {"edgecolor": "#555555", "linewidth": 0.5}
+        handles = [Patch(facecolor=colors[name], label=short(name), **edge) for name in seen]
         axes.legend(handles=handles, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
@@ -146,7 +147,10 @@ def draw_boxes(
         axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, zorder=4))
         x, y = (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0)) / 2
         box = {"facecolor": "white", "edgecolor": color, "boxstyle": "round,pad=0.15", "linewidth": 0.8}
-        axes.text(x, y, classes[label], fontsize=7, ha="center", va="center", bbox=box, zorder=5)
+        named = axes.text(x, y, short(classes[label]), fontsize=7, ha="center", va="center", bbox=box, zorder=5)
+        # The name of an object at the edge must not take space from the picture, or cover the next one.
+        named.set_in_layout(False)
+        named.set_clip_on(True)
     axes.set(xlim=(-wide, wide), ylim=(-high, high), aspect="equal", xlabel="right (m)", ylabel="up (m)")
     axes.set_title("Objects (thick: front)")
     if boxes.count == 0:

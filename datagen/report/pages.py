@@ -23,6 +23,7 @@ from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_
 from datagen.report.scans import Raster, draw_time_slice, scan_page
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
 from datagen.report.style import captioned, house_style, save_png
+from datagen.store.files import check_writable
 from datagen.store.summaries import OVER_M
 
 PAGES = ("overview", "histogram", "labels", "scan")
@@ -50,6 +51,8 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
         warn(f"{stored.missing}; only what is stored is drawn", InputWarning, stacklevel=2)
     root = Path(dataset).resolve()
     folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
+    # Found before the scene is simulated, which may take minutes.
+    check_writable(folder, " with --out")
     with house_style():
         why = why_roomless(stored.config, stored.missing)
         made = pages(stored, replay(stored)) if why is None else stored_pages(stored, why)

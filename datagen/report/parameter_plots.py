@@ -8,12 +8,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from datagen.records import Scalar
-from datagen.report.style import EXPECTED, new_figure
+from datagen.report.style import EXPECTED, new_figure, short
 
 MOST_PARAMETERS = 12
 _MOST_WORDS = 12
 _COLUMNS = 4
 _CELL_IN = (3.2, 1.75)
+_TITLE_LETTERS = 48
 
 
 def varying(parameters: Sequence[Mapping[str, Scalar]]) -> dict[str, list[Scalar]]:
@@ -43,7 +44,7 @@ def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         if not _is_number(values):
             words, counts = np.unique([str(value) for value in values], return_counts=True)
-            axes.barh(words, counts, color=EXPECTED)
+            axes.barh([short(word) for word in words], counts, color=EXPECTED)
         else:
             numbers = np.array([float(value) for value in values])
             numbers = numbers[np.isfinite(numbers)]
@@ -57,7 +58,7 @@ def parameter_page(columns: Mapping[str, Sequence[Scalar]]) -> Figure | None:
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
             if not wide:
                 axes.locator_params(axis="x", nbins=5)
-        axes.set_title(name, fontsize=8, fontweight="normal")
+        axes.set_title(short(name, _TITLE_LETTERS), fontsize=8, fontweight="normal")
         axes.tick_params(labelsize=7)
         if number % _COLUMNS == 0:
             axes.set_ylabel("scenes", fontsize=7)

@@ -19,6 +19,7 @@ from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import Manifest, committed, read_manifest
 from datagen.store.description import Description
+from datagen.store.files import check_writable
 from datagen.store.info import info
 from datagen.store.record import SceneRecord, ShardRecord, scenes_made
 
@@ -51,6 +52,7 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
     if not scenes_made(records):
         raise InputError(f"{dataset}: no scene is there yet; run `datagen build` again, then preview it")
     out = root.resolve().with_name(root.resolve().name + ".html") if out_html is None else Path(out_html)
+    check_writable(out.parent, " with --out")
     with house_style():
         text = "\n".join(_page(root, manifest, records, scenes))
     try:

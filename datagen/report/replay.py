@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,6 +25,7 @@ from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.manifest import MissingMesh
 from datagen.store.scenes import Scenes
+from datagen.store.summaries import SIGNIFICANCE
 
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
@@ -56,11 +56,9 @@ class StoredScene:
     def significance(self) -> dict[str, float]:
         """Object → stored significance of its own light in the data; objects without one are left out."""
         return {
-            name.split(".")[1]: float(value)
+            found[1]: float(value)
             for name, value in self.parameters.items()
-            if re.fullmatch(r"evidence\.\w+\.significance", name)
-            and isinstance(value, int | float)
-            and value == value
+            if (found := SIGNIFICANCE.fullmatch(name)) and isinstance(value, int | float) and value == value
         }
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
 from datagen.records.arrays import Bools, Floats, Ints
-from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors
+from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors, short
 
 HIDDEN_VIEW = "#117733"
 LEGEND_COLUMNS = 8
@@ -289,7 +289,7 @@ def draw_legend(axes: Axes, room: RoomPicture, notes: Mapping[str, str] | None =
     """A legend of the parts and marks of plan and opened room, filling `axes`; `notes` follow the names of parts."""
     scene, notes = room.scene, notes or {}
     handles: list[Patch | Line2D] = [
-        Patch(fc=color, ec="#555555", lw=0.5, label=f"{name}{notes.get(name, '')}")
+        Patch(fc=color, ec="#555555", lw=0.5, label=f"{short(name)}{notes.get(name, '')}")
         for name, color in part_colors(scene).items()
     ]
     dots: dict[str, Any] = {"color": "black", "linestyle": "", "markersize": 8}

@@ -7,6 +7,7 @@ are neither used nor changed, so the same data give the same picture everywhere.
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,8 @@ from datagen.records import Scene
 
 DPI = 110
 INK = "#222222"
+NAME_LETTERS = 32
+"""Most letters of a name in a legend."""
 LASER = "#D55E00"
 FIELD_OF_VIEW = "#332288"
 EXPECTED = "#0072B2"
@@ -55,8 +58,20 @@ def house_style() -> Iterator[None]:
         "legend.frameon": False,
         "svg.hashsalt": "datagen",
     }
-    with matplotlib.rc_context({**defaults, **ours}):
+    with matplotlib.rc_context({**defaults, **ours}), warnings.catch_warnings():
+        # A letter that the font lacks, as of Chinese names, is drawn as a box.
+        warnings.filterwarnings("ignore", "Glyph .* missing from font", UserWarning)
         yield
+
+
+def plain(text: str) -> str:
+    """Text for matplotlib, which would read a formula between two dollar signs."""
+    return text.replace("$", r"\$")
+
+
+def short(name: str, letters: int = NAME_LETTERS) -> str:
+    """A name as legends and titles show it: cut where it is long."""
+    return plain(name if len(name) <= letters else f"{name[: letters - 1]}…")
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
@@ -102,10 +117,10 @@ def captioned(
     if not arranged:
         figure.subplots_adjust(bottom=0, top=1 - 0.6 / height)
     if title:
-        figure.suptitle(title, fontweight="bold", y=None if arranged else 1 - 0.1 / height)
+        figure.suptitle(plain(" ".join(title.split())), fontweight="bold", y=None if arranged else 1 - 0.1 / height)
     caption = figure.add_subplot(grid[len(heights_in), :])
     caption.set_axis_off()
-    written = caption.text(0, 1, "\n".join(lines), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
+    written = caption.text(0, 1, plain("\n".join(lines)), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
     # Its row is high enough already; in the layout, long lines would take space from the pictures.
     written.set_in_layout(False)
     return figure, grid

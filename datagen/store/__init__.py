@@ -3,7 +3,7 @@
 from datagen.store.card import write_card
 from datagen.store.files import check_writable
 from datagen.store.manifest import Manifest, read_manifest
-from datagen.store.prepare import forget_complete, planned, prepare
+from datagen.store.prepare import build_folders, forget_complete, planned, prepare
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, running_path
 from datagen.store.schema import Field, Schema, schema_of
@@ -11,7 +11,7 @@ from datagen.store.shard import discard_shard, write_shard
 from datagen.store.verify import Verification, committed, finish, verify
 
 __all__ = [
-    "DatasetReader", "Field", "Manifest", "Schema", "ShardRecord", "Verification", "check_writable", "committed",
-    "discard_shard", "finish", "forget_complete", "planned", "prepare", "read_manifest", "running_path", "schema_of",
-    "verify", "write_card", "write_shard",
+    "DatasetReader", "Field", "Manifest", "Schema", "ShardRecord", "Verification", "build_folders", "check_writable",
+    "committed", "discard_shard", "finish", "forget_complete", "planned", "prepare", "read_manifest", "running_path",
+    "schema_of", "verify", "write_card", "write_shard",
 ]  # fmt: skip

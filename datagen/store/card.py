@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,8 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
     frame = ", in the frame of each file; right-handed" if manifest.imported else ", z up, right-handed"
     paragraphs = [
         _front_matter(dataset),
-        f"# {config['name']}",
-        config["description"],
+        f"# {_plain(config['name'])}",
+        _without_tags(config["description"]),
         f"{dataset.origin} Made by datagen {manifest.made_by['datagen']}.",
         "## State",
         *_state(dataset),
@@ -48,7 +49,7 @@ def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
         "Zarr v3 arrays in `data.zarr`, one scene along the first axis.",
         _table(("field", "axes", "shape", "dtype", "unit", "meaning"), fields),
         *(
-            f"Classes of `{field.name}`: {', '.join(f'{k} {name}' for k, name in enumerate(field.classes))}."
+            f"Classes of `{field.name}`: {', '.join(f'{k} {_plain(name)}' for k, name in enumerate(field.classes))}."
             for field in dataset.shapes
             if field.classes
         ),
@@ -72,9 +73,25 @@ def readable(size: float) -> str:
     return f"{size / 1000**power:.{3 if power else 12}g} {('bytes', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
+def _plain(text: str) -> str:
+    """Text as one line of Markdown that shows it as it is: no tag, link or emphasis in it acts."""
+    return re.sub(r"([\\`*\[\]])", r"\\\1", " ".join(text.split())).replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _code(text: str) -> str:
+    """Text as code within a line of Markdown."""
+    return f"`{' '.join(text.split()).replace('`', chr(0xB4))}`"
+
+
+def _without_tags(text: str) -> str:
+    """Markdown whose HTML is shown, and does not act; links in angle brackets stay."""
+    return re.sub(r"<(?=[A-Za-z/!?])(?!https?://)", "&lt;", text)
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table; an empty text without rows."""
-    lines = [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)]
+    cells = [[cell.replace("|", "\\|") for cell in row] for row in (head, ["---"] * len(head), *rows)]
+    lines = [f"| {' | '.join(row)} |" for row in cells]
     return "\n".join(lines) if rows else ""
 
 
@@ -109,7 +126,7 @@ def _state(dataset: Description) -> list[str]:
         more = [f"and {failures - _MOST_LINES} more, see `{TABLE}`"] if failures > _MOST_LINES else []
         paragraphs += [
             f"{failures} scenes could not be made; their values are fill values:",
-            "\n".join(f"- {line}" for line in (*dataset.failure_lines(_MOST_LINES), *more)),
+            "\n".join(f"- {line}" for line in (*map(_plain, dataset.failure_lines(_MOST_LINES)), *more)),
         ]
     if dataset.is_whole:
         counts = ", ".join(f"{name} {count}" for name, count in dataset.scenes_by_split().most_common())
@@ -142,14 +159,14 @@ def _values(dataset: Description) -> list[str]:
     stats = [
         (f"`{name}`", f"{of['mean']:.6g}", f"{of['std']:.6g}", f"{of['nonzero']:.4g}") for name, of in fields.items()
     ]
-    varying = [(f"`{name}`", *numbers) for name, *numbers in dataset.ranges()]
+    varying = [(_code(name), *numbers) for name, *numbers in dataset.ranges()]
     sections = (
         ("## Mean and spread", "Of the split `train`; of a histogram log(1 + counts); all in `dataset.json`.",
          _table(("field", "mean", "std", "share not 0"), stats)),
         ("## Evidence",
          "Significance of each object's own light, in standard deviations (σ) of a matched filter that knows all\n"
          "else; under 3 σ a label cannot be learnt from the data.",
-         "\n".join(f"- {line}" for line in dataset.evidence())),
+         "\n".join(f"- {_plain(line)}" for line in dataset.evidence())),
         ("## What varies", f"From `{TABLE}`, which has a row for every scene.",
          _table(("parameter", "least", "median", "most"), varying)),
     )  # fmt: skip
@@ -163,19 +180,19 @@ def _provenance(dataset: Description) -> list[str]:
     return [
         *(_imported(manifest) or [f"seed {manifest.seed}; each scene depends on (seed, scene index) only"]),
         f"configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
-        *(f"mesh `{mesh}`, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
+        *(f"mesh {_code(mesh)}, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
         f"licence: {manifest.config['license'] or 'none stated, so all rights are reserved'}",
         f"code: commit {made_by['commit']}",
         f"versions: {versions}",
         f"begun on: {made_by['processor']}, {made_by['system']}",
-        *dataset.differences(),
+        *map(_plain, dataset.differences()),
     ]
 
 
 def _imported(manifest: Manifest) -> list[str]:
     """Lines that name the files that were imported, and the options; none of a simulated dataset."""
     files = [
-        f"scene {scene}: `{file.name}` ({file.format}), SHA-256 `{file.sha256}`"
+        f"scene {scene}: {_code(file.name)} ({file.format}), SHA-256 `{file.sha256}`"
         for scene, file in enumerate(manifest.imported)
     ]
     if not files:
@@ -188,5 +205,5 @@ def _imported(manifest: Manifest) -> list[str]:
 
 def _option(value: Any) -> str:
     if isinstance(value, dict):
-        return f"`{value['name']}`, SHA-256 `{value['sha256']}`"
-    return " × ".join(map(str, value)) if isinstance(value, list) else str(value)
+        return f"{_code(value['name'])}, SHA-256 `{value['sha256']}`"
+    return " × ".join(map(str, value)) if isinstance(value, list) else _plain(str(value))

@@ -218,8 +218,11 @@ def difference(path: Location, sha256: str | None, due_bytes: int | None = None)
     return None if same else "its bytes have changed since they were written (SHA-256 differs)"
 
 
-def check_writable(path: Path) -> None:
-    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it."""
+def check_writable(path: Path, by: str = "") -> None:
+    """Raise `InputError` unless the folder `path` exists or can be made, and files can be made in it.
+
+    by : how to name another folder, such as " with --out".
+    """
     existing = path
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent
@@ -234,5 +237,5 @@ def check_writable(path: Path) -> None:
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(
-            f"output {path}: {existing} cannot be written ({reason}); name a folder that you may write to"
+            f"output {path}: {existing} cannot be written ({reason}); name a folder that you may write to{by}"
         ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from datagen.errors import InputError, printable
 from datagen.records import Scalar
@@ -12,10 +13,13 @@ from datagen.store.description import Description
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import ShardRecord, scenes_made
-from datagen.store.verify import committed
+from datagen.store.verify import each_committed
 
 Parameters = Sequence[Mapping[str, Scalar]]
 """The parameters of each scene that could be made."""
+
+_SAID = ("effect.", "evidence.", "labels.scan_", "transient.", "transport.rays.")
+"""Beginnings of the names of parameters of which `info` says something."""
 
 STAGES = (
     "read", "scene", "effects", "transport", "detector", "background", "evidence", "presence", "labels", "store",
@@ -32,10 +36,22 @@ def info(path: str | Location) -> str:
     root = location_of(path)
     manifest = read_manifest(root)
     try:
-        return printable(_text(manifest, committed(root, manifest)))
+        return printable(_text(manifest, [_outline(record) for record in each_committed(root, manifest)]))
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{root}: its commit records hold what datagen does not write ({what})") from None
+
+
+def _outline(record: ShardRecord) -> ShardRecord:
+    """A record without what `info` does not say, which is most of its memory."""
+    scenes = (
+        replace(
+            scene, digests={}, stats={},
+            parameters={name: value for name, value in scene.parameters.items() if name.startswith(_SAID)},
+        )
+        for scene in record.scenes
+    )  # fmt: skip
+    return replace(record, scenes=tuple(scenes))
 
 
 def _text(manifest: Manifest, records: Sequence[ShardRecord]) -> str:

@@ -66,6 +66,13 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
     return manifest
 
 
+def build_folders(root: Path, manifest: Manifest) -> list[Path]:
+    """The folders in which a build makes files; not all of them exist yet."""
+    shards = [f"{GROUP}/{field.name}/c/0" for field in manifest.schema.fields]
+    names = [MANIFEST, f"{BUILD}/shard", *manifest.metadata, *shards]
+    return [*dict.fromkeys((root / name).parent for name in names)]
+
+
 def prepare(root: Path, config: DatasetConfig) -> Manifest:
     """Create a dataset, or resume an existing one; returns its manifest. Raises as `planned` does.
 
@@ -74,8 +81,7 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     """
     manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
-    names = [*metadata_files(manifest.schema, time_axes(config)), f"{BUILD}/shard", MANIFEST]
-    for folder in dict.fromkeys((root / name).parent for name in names):
+    for folder in build_folders(root, manifest):
         clear_partials(folder)
     content = manifest.to_bytes()
     if not holds(root / MANIFEST, content):

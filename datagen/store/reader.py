@@ -42,6 +42,9 @@ WORTH_BYTES = 2**21
 """Decoded bytes of a read below which starting threads takes longer than it saves."""
 _MISSING = 2**64 - 1
 """Offset and size of a missing chunk in a shard's index (Zarr's `sharding_indexed`)."""
+_DIGEST_BYTES = 32
+_NOT_MADE = bytes(_DIGEST_BYTES)
+"""In place of the digest of a scene that could not be made."""
 _CRC_BYTES = 4
 _HEADER_BYTES = 16
 _PLAIN, _UNSPLIT = 2, 16
@@ -87,9 +90,9 @@ class DatasetReader:
         self._fields = {name: self._schema.by_name[name] for name in fields}
         self._check = check
         self._seen = seen or {name: np.zeros(self._schema.scenes, bool) for name in self._fields}
-        # Shard → field → size of its file, digest of each scene (None: could not be made). The whole records of a
-        # large dataset would not fit into memory.
-        self._records: dict[int, dict[str, tuple[int, list[bytes | None]]]] = {}
+        # Shard → field → size of its file, digests of its scenes. The whole records of a large dataset would not fit
+        # into memory.
+        self._records: dict[int, dict[str, tuple[int, bytes]]] = {}
         self._kept: OrderedDict[tuple[object, ...], NDArray[np.generic]] = OrderedDict()
         self._kept_bytes = 0
         self._lock = threading.Lock()
@@ -277,26 +280,37 @@ class DatasetReader:
         if not self._check or seen[scene]:
             return
         shard, within = divmod(scene, self._schema.scenes_per_shard)
-        due = self._record(shard)[field.name][1][within]
-        if due is not None and bytes.fromhex(digest(field, value)) != due:
+        due = self._record(shard)[field.name][1][_DIGEST_BYTES * within :][:_DIGEST_BYTES]
+        if due != _NOT_MADE and bytes.fromhex(digest(field, value)) != due:
             raise self._fault(field, shard, scene, f"field {field.name} decodes to other values than were written")
         seen[scene] = True
 
-    def _record(self, shard: int) -> dict[str, tuple[int, list[bytes | None]]]:
-        """Field → size of its file, and digests of the scenes, as the record of a shard states them."""
+    def _record(self, shard: int) -> dict[str, tuple[int, bytes]]:
+        """Field → size of its file, and digests of the scenes, end to end, as the record of a shard states them."""
         if shard not in self._records:
-            record = read_record(self._root, shard)
-            wrong = record.mismatch(self._schema, self._manifest.fingerprint) if record else "is not committed"
-            if record is None or wrong:
-                raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")
-            self._records[shard] = {
-                name: (
-                    record.files[shard_file(field, shard)].bytes,
-                    [None if scene.failure else bytes.fromhex(scene.digests[name]) for scene in record.scenes],
-                )
-                for name, field in self._fields.items()
-            }
+            stated = self._stated(shard)
+            # Copies that are made when the record is gone, which took megabytes: what stays would else lie behind
+            # them, and the system would not get them back.
+            self._records[shard] = {name: (size, bytes(digests)) for name, (size, digests) in stated.items()}
         return self._records[shard]
+
+    def _stated(self, shard: int) -> dict[str, tuple[int, bytearray]]:
+        """What `_record` returns, read from the record's file."""
+        record = read_record(self._root, shard)
+        due = self._schema, self._manifest.fingerprint
+        wrong = record.mismatch(*due, grown=True) if record else "is not committed"
+        if record is None or wrong:
+            raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")
+        return {
+            name: (
+                record.files[shard_file(field, shard)].bytes,
+                bytearray().join(
+                    _NOT_MADE if scene.failure is not None else bytes.fromhex(scene.digests[name])
+                    for scene in record.scenes
+                ),
+            )
+            for name, field in self._fields.items()
+        }
 
     def _fault(self, field: Field, shard: int, scene: int | None, what: str) -> CheckError:
         scenes = self._schema.scenes_of(shard)

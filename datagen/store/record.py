@@ -82,9 +82,14 @@ class ShardRecord:
         """The record's file."""
         return sealed(vars(self))
 
-    def mismatch(self, schema: Schema, fingerprint: str) -> str | None:
-        """A sentence on why this record does not belong to a dataset of this schema and fingerprint, or None."""
+    def mismatch(self, schema: Schema, fingerprint: str, grown: bool = False) -> str | None:
+        """A sentence on why this record does not belong to a dataset of this schema and fingerprint, or None.
+
+        grown : the dataset may have grown since its schema was read; its last shard then has more scenes.
+        """
         scenes = schema.scenes_of(self.shard)
+        if grown and scenes.stop <= self.last_scene < scenes.start + schema.scenes_per_shard:
+            scenes = range(scenes.start, self.last_scene + 1)
         if self.fingerprint != fingerprint:
             return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
         if (self.first_scene, self.last_scene) != (scenes.start, scenes.stop - 1):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Annotated
 
@@ -11,6 +10,7 @@ import numpy as np
 import pydantic
 from numpy.typing import NDArray
 
+from datagen.records.arrays import Floats
 from datagen.records.label_fields import LABEL_FIELDS
 
 LABELS = tuple(of.name for of in LABEL_FIELDS if of.is_quantity)
@@ -45,10 +45,13 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     return FieldStats(float(mean), math.sqrt(square), found.size / size)
 
 
-def pooled(scenes: Sequence[FieldStats]) -> dict[str, float]:
-    """The statistics of several scenes of one shape, from those of each: field of `FieldStats` → value."""
-    if not scenes:
+def pooled(mean: Floats, std: Floats, nonzero: Floats) -> dict[str, float]:
+    """The statistics of several scenes of one shape, from those of each, (scenes,): field of `FieldStats` → value."""
+    count = len(mean)
+    if not count:
         raise ValueError("no scenes")
-    mean, nonzero = (math.fsum(getattr(one, name) for one in scenes) / len(scenes) for name in ("mean", "nonzero"))
-    square = math.fsum(one.std * one.std + one.mean * one.mean for one in scenes) / len(scenes)
-    return asdict(FieldStats(mean, math.sqrt(max(square - mean * mean, 0.0)), nonzero))
+    # Sums of Python are exact, so the order of the scenes does not matter.
+    middle, share = math.fsum(mean.tolist()) / count, math.fsum(nonzero.tolist()) / count
+    with np.errstate(over="ignore"):
+        square = math.fsum((std * std + mean * mean).tolist()) / count
+    return asdict(FieldStats(middle, math.sqrt(max(square - middle * middle, 0.0)), share))

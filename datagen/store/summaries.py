@@ -23,7 +23,8 @@ PLACED_ANEW = "evidence.placed_anew"
 OVER_M = 0.01
 """Distance of the middles up to which label images count as lying over the scan: a third of a pixel if 64 pixels
 cover 2 m."""
-_SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
+SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
+"""Name of the parameter that has the significance of an object's own light."""
 
 Parameters = Iterable[Mapping[str, object]]
 """The parameters of several scenes, as `samples.parquet` has them."""
@@ -57,7 +58,7 @@ def evidence_by_kind(scenes: Parameters, as_one: str | None = None) -> list[Kind
     kinds: dict[str, list[float]] = {}
     for parameters in scenes:
         for name, value in parameters.items():
-            match = _SIGNIFICANCE.fullmatch(name)
+            match = SIGNIFICANCE.fullmatch(name)
             if match and isinstance(value, int | float):
                 # The kind is the name of the part without its number (box_2: box).
                 kinds.setdefault(as_one or re.sub(r"_\d+$", "", match[1]), []).append(float(value))

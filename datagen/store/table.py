@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from typing import IO
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -18,7 +19,7 @@ from datagen.store.files import read_json
 from datagen.store.location import Location
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
-from datagen.store.stats import QUANTITIES, FieldStats, pooled
+from datagen.store.stats import QUANTITIES, pooled
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
@@ -81,19 +82,20 @@ def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
     """Split → field → `mean`, `std`, `nonzero` over the values of all its scenes."""
     splits = table["split"].to_pylist()
     rows = {name: [row for row, split in enumerate(splits) if split == name] for name in {*splits} if name}
-    return {name: stats_of_rows(table.take(here)) for name, here in sorted(rows.items())}
+    of_fields = table.select([name for name in table.column_names if name.startswith("stats.")])
+    return {name: stats_of_rows(of_fields.take(here)) for name, here in sorted(rows.items())}
 
 
 def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     """Field → `mean`, `std`, `nonzero` over the values of all scenes of a table without failures."""
     fields = [name.split(".")[1] for name in table.column_names if re.fullmatch(r"stats\.\w+\.mean", name)]
     columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in fields}
-    found = {name: table.select(names).drop_null().to_pylist() for name, names in columns.items()}
-    stats = {
-        name: [FieldStats(**{key.rpartition(".")[2]: value for key, value in row.items()}) for row in rows]
+    found = {name: table.select(names).drop_null() for name, names in columns.items()}
+    return {
+        name: pooled(*(np.asarray(column, np.float64) for column in rows.columns))
         for name, rows in found.items()
+        if rows.num_rows
     }
-    return {name: pooled(scenes) for name, scenes in stats.items() if scenes}
 
 
 def read_splits(root: Location, scenes: int, splits: SplitsConfig) -> list[str | None]:
@@ -121,7 +123,7 @@ def rows_of(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> pa.Ta
 def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa.Table:
     """Columns of the table of a dataset (None: all columns).
 
-    scenes : the number of rows that it must have.
+    scenes : the number of rows, the first of the table: it has more if the dataset has grown since it was opened.
 
     Raises `CheckError` if the file has another hash than `croissant.json` states, `InputError` for an unknown column.
     """
@@ -140,13 +142,13 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
                     f"{path}: has changed since it was written (SHA-256 differs from {CROISSANT}'s); {remedy}"
                 )
             file = parquet_file(stored)
-            if file.metadata.num_rows != scenes:
+            if file.metadata.num_rows < scenes:
                 raise CheckError(f"{path}: {file.metadata.num_rows} rows for {scenes} scenes; {remedy}")
             known = file.schema_arrow.names
             for name in columns or ():
                 if name not in known:
                     raise InputError(f"parameters: {name!r} is no column of {path}; it has {', '.join(known)}")
-            return rows_of(file, columns)
+            return rows_of(file, columns).slice(0, scenes)
     except (pa.ArrowException, OSError) as error:
         raise CheckError(f"{path}: cannot be read ({' '.join(str(error).split())}); {remedy}") from None
 

@@ -7,14 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import detector, evidence, loaders, scaling
+from benchmarks import detector, evidence, large_datasets, loaders, scaling
 from benchmarks.hard_scenes import hard
+from damage import SCENES, small_dataset
 from torch.utils.data import IterableDataset
 
 from datagen import Accuracy, simulate
 from datagen.config import config_from_mapping
 from datagen.loader import TransientDataset
 from datagen.pipeline import simulate_sample
+from datagen.store import verify
 
 
 def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
@@ -32,6 +34,15 @@ def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
         assert all(np.array_equal(a.numpy(), b) for a, b in zip(found, due, strict=True)), name
     ours = TransientDataset(tmp_path / "ours", ("histogram",), counts="stored")
     assert all(np.array_equal(ours[index]["histogram"].numpy(), due[index]) for index in range(9))
+
+
+def test_a_large_dataset_is_a_whole_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """And opening it costs seconds and memory."""
+    monkeypatch.setattr(large_datasets, "SIMULATED", SCENES)
+    config = small_dataset(tmp_path / "few").with_scenes(31)
+    large_datasets.copied(config, tmp_path / "few", tmp_path / "many")
+    assert verify(tmp_path / "many", deep=True).problems == ()
+    assert len(large_datasets.one_of_every_shard(str(tmp_path / "many"))) == 16 and large_datasets.own_mb() > 10
 
 
 def test_loaders_print_a_rate_of_each(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import itertools
 import multiprocessing
 import pickle
 import tracemalloc
+from collections import Counter
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -17,10 +18,18 @@ import pytest
 import torch
 from datasets import write_dataset
 from fake_samples import fake_sample, noisy_config
-from torch.utils.data import ConcatDataset, DataLoader, Dataset, DistributedSampler, RandomSampler, Subset
+from torch.utils.data import (
+    ConcatDataset,
+    DataLoader,
+    Dataset,
+    DistributedSampler,
+    RandomSampler,
+    Subset,
+    WeightedRandomSampler,
+)
 
 from datagen.errors import InputError
-from datagen.loader import EpochSampler, TransientDataset
+from datagen.loader import EpochSampler, TransientDataset, collate
 from datagen.loader.redrawn_noise import DrawCounter
 from datagen.seeding import Purpose, generator
 
@@ -111,6 +120,32 @@ def test_a_scene_read_twice_has_two_draws(data: TransientDataset, dataset: Path)
     assert all(torch.equal(item["histogram"], draws_of(dataset, k)[3]) for k, item in enumerate(twice))
     (batch,) = DataLoader(data, 40, sampler=RandomSampler(data, replacement=True, num_samples=40))
     assert len({tuple(row.flatten().tolist()) for row in batch["histogram"]}) == 40
+
+
+@pytest.mark.parametrize("workers", [{}, FORK, {**FORK, "persistent_workers": True}], ids=["none", "2", "persistent"])
+@pytest.mark.parametrize("weights", [None, [1.0] + 11 * [0.05]], ids=["random", "weighted"])
+def test_scenes_drawn_with_replacement_have_a_draw_for_every_read(
+    data: TransientDataset, dataset: Path, workers: dict[str, Any], weights: list[float] | None
+) -> None:
+    """Draws 0, 1, 2 … of each, whichever worker read it; and files that an epoch opens are closed after it."""
+    size = 30
+    sampler: Any = (
+        RandomSampler(data, replacement=True, num_samples=size) if weights is None
+        else WeightedRandomSampler(weights, size)
+    )  # fmt: skip
+    loader = DataLoader(data, 4, sampler=sampler, collate_fn=collate, **workers)
+    found: dict[int, set[bytes]] = {scene: set() for scene in range(12)}
+    reads, opened = Counter[int](), []
+    for _ in range(3):
+        for batch in loader:
+            for scene, counts in zip(batch["scene"].tolist(), batch["histogram"], strict=True):
+                reads[scene] += 1
+                found[scene].add(counts.numpy().tobytes())
+        opened.append(len(list(Path("/proc/self/fd").iterdir())))
+    assert sum(reads.values()) == 3 * size and opened[1] == opened[2]
+    for scene, times in reads.items():
+        due = {draws_of(dataset, number)[scene].numpy().tobytes() for number in range(times)}
+        assert len(found[scene]) == times and found[scene] == due
 
 
 def test_processes_of_distributed_training_draw_apart(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:

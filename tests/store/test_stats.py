@@ -46,7 +46,12 @@ def test_statistics_are_mean_and_standard_deviation(counts: np.ndarray, label: n
         scale = 1e-5 * max(1.0, float(np.abs(values.astype(float)).max()))
         for scene, of in zip(values, scenes, strict=True):
             assert np.allclose(astuple(of), plain(scene, name), rtol=1e-5, atol=scale)
-        assert np.allclose(list(pooled(scenes).values()), plain(values, name), rtol=1e-5, atol=scale)
+        assert np.allclose(
+            list(pooled(*np.transpose([astuple(of) for of in scenes])).values()),
+            plain(values, name),
+            rtol=1e-5,
+            atol=scale,
+        )
 
 
 def test_almost_equal_values_zeros_and_the_largest_counts_have_statistics() -> None:

@@ -3,6 +3,7 @@ and nothing outside of the folder is touched."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -11,15 +12,19 @@ from typing import Any
 
 import google_crc32c
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from damage import reseal, told
 from fake_samples import build_fakes, small_config
 from limits import little_memory
 
+import datagen as dg
 from datagen.cli import run
 from datagen.errors import CheckError, InputError
+from datagen.formats import export
 from datagen.loader import TransientDataset
 from datagen.store import verify
+from datagen.store.files import sha256_of
 from datagen.store.info import info
 
 pytestmark = pytest.mark.usefixtures("builds_here")
@@ -212,6 +217,95 @@ def test_a_build_writes_through_no_link_that_stands_in_for_a_file_of_its_own(dat
     with pytest.raises(CheckError, match=r"shard-000000\.running"):
         build_fakes(small_config(), dataset)
     assert outside.read_text() == "years of work"
+
+
+@pytest.mark.parametrize("inside", ["data.zarr", "data.zarr/depth/c/0/0/0", "README.md", "more"])
+def test_a_folder_for_the_hub_has_nothing_that_links_lead_to(dataset: Path, tmp_path: Path, inside: str) -> None:
+    """It is made to be published."""
+    secret = tmp_path / "secret"
+    if (dataset / inside).exists():
+        shutil.move(dataset / inside, secret)
+    else:
+        secret.write_text("key")
+    (dataset / inside).symlink_to(secret)
+    with pytest.raises(InputError, match=f"{inside}: is a symbolic link, .*cp -rL"):
+        export(dataset, tmp_path / "hub", "hub")
+    assert not (tmp_path / "hub").exists()
+
+
+def test_files_are_named_after_splits_of_the_dataset_alone(dataset: Path, tmp_path: Path) -> None:
+    table = pq.read_table(dataset / "samples.parquet")
+    place = table.column_names.index("split")
+    pq.write_table(
+        table.set_column(place, "split", [["../../../secret"] * table.num_rows]), dataset / "samples.parquet"
+    )
+    card = json.loads((dataset / "croissant.json").read_text())
+    card["distribution"][0]["sha256"] = sha256_of(dataset / "samples.parquet")
+    (dataset / "croissant.json").write_text(json.dumps(card))
+    with pytest.raises(
+        InputError, match=r"samples\.parquet: split '\.\./\.\./\.\./secret' is none of train, val, test"
+    ):
+        export(dataset, tmp_path / "a/b/hub", "hub")
+    assert not (tmp_path / "a").exists() and not list(tmp_path.rglob("secret*"))
+
+
+def test_values_come_through_links_only_where_checksums_vouch_for_them(dataset: Path, tmp_path: Path) -> None:
+    """Caches of downloads keep the files of a dataset elsewhere, and link to them."""
+    name = dataset / "data.zarr/depth/c/0/0/0"
+    due = TransientDataset(dataset)[0]["depth"]
+    shutil.move(name, tmp_path / "blob")
+    name.symlink_to(tmp_path / "blob")
+    assert verify(dataset, deep=True).problems == () and (TransientDataset(dataset)[0]["depth"] == due).all()
+    for other in (dataset / "data.zarr/depth/c/1/0/0", Path("/etc/passwd"), tmp_path):
+        name.unlink()
+        name.symlink_to(other)
+        with pytest.raises(CheckError, match="run the same `datagen build` again"):
+            TransientDataset(dataset)[0]
+    for linked in ("dataset.json", "build/shard-000000.json", "croissant.json"):
+        kept = (dataset / linked).read_bytes()
+        (dataset / linked).unlink()
+        (dataset / linked).symlink_to("/etc/passwd")
+        with pytest.raises((InputError, CheckError), match=linked) as refused:
+            TransientDataset(dataset)[0]
+        assert "root:" not in str(refused.value) and "\n" not in str(refused.value)
+        (dataset / linked).unlink()
+        (dataset / linked).write_bytes(kept)
+
+
+READS: dict[str, Change] = {
+    "a device": lambda values: values["config"]["capture"].update(device="SECRET.yaml"),
+    "a map of zones": lambda values: values["config"]["capture"].update(
+        device=dg.device("tmf8820").model_dump(mode="json") | {"zones": {"map": "SECRET.npz"}}
+    ),
+    "edges": lambda values: values["config"]["detector"].update(tdc_edges_ps="SECRET.csv"),
+}
+
+
+@pytest.mark.parametrize("what", READS)
+def test_a_stored_configuration_reads_no_file(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], what: str
+) -> None:
+    for suffix in ("yaml", "npz", "csv"):
+        (tmp_path / f"secret.{suffix}").write_text("key: hunter2")
+
+    def change(values: dict[str, Any]) -> None:
+        READS[what](values)
+        values["config"] = json.loads(json.dumps(values["config"]).replace("SECRET", str(tmp_path / "secret")))
+
+    reseal(dataset / "dataset.json", change)
+    before = sorted(tmp_path.rglob("*"))
+    for command in (
+        ["show", str(dataset), "0"],
+        ["preview", str(dataset)],
+        ["verify", str(dataset), "--resimulate=1"],
+    ):
+        assert run(command) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and "a path, where a dataset has the values" in err
+        assert "hunter2" not in err
+    with pytest.raises(InputError, match=r"redraw_noise: .* a path, where a dataset has the values"):
+        TransientDataset(dataset, redraw_noise=True)
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_no_escape_sequence_reaches_a_terminal_or_the_card(
