@@ -68,12 +68,14 @@ class Pair(NamedTuple):
 
 
 class Hidden(NamedTuple):
-    """A hidden point, drawn on an element: place, metres, normal, and density, 1/m²; the corners of the triangle that
-    its light is spread over, the level of its parts, and by how much their mean times are late, bins."""
+    """A hidden point, drawn on an element: place, metres, normal, and density, 1/m²; the guessed light of the element
+    for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, and by how much
+    their mean times are late, bins."""
 
     point: Vector
     normal: Vector
     density: float
+    light: float
     corners: tuple[Vector, Vector, Vector]
     level: int
     bend: float
@@ -236,9 +238,10 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
     t0, t1, t2 = _barycentric(u, walk.numbers[1], at[a], at[b], at[c])
     s1, s2 = (t0 * (i + down) + t1 * (i + 1) + t2 * i) / parts, (t0 * j + t1 * (j + down) + t2 * (j + 1)) / parts
     y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
-    density = 3.0 * (t0 * at[a] + t1 * at[b] + t2 * at[c]) * parts * parts / (area * total)
-    # All of a small box's light arrives at one time.
-    return Hidden(y, n, density, (y, y, y) if is_box else (y0, y1, y2), level, bend)
+    light = area * total / (3.0 * parts * parts)
+    density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light
+    # Of a small box nothing is guessed, and all of its light arrives at one time.
+    return Hidden(y, n, density, 0.0 if is_box else light, (y, y, y) if is_box else (y0, y1, y2), level, bend)
 
 
 @compiled(forceinline=True, fastmath=FAST, allocates=False)
@@ -299,11 +302,10 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
 def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`; returns whether it brings light."""
     hidden = _drawn(walk, top, piece, room, surface, pair.lit, seen, batch.at[used])
-    if walk.tag[top, 4] == 1:
-        lobe = min(surface.lobe, seen.lobe)
-        is_near = seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
-        expected[1] += seen.gain * piece.area * piece.most if is_near else 0.0
-    expected[0] += seen.gain * piece.area * piece.most
+    lobe, many = min(surface.lobe, seen.lobe), walk.tag[top, 4]
+    is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
+    expected[0] += seen.gain * hidden.light
+    expected[1] += seen.gain * hidden.light if is_near else 0.0
     j, light = _seen_from(hidden, walk, top, replicate, room, pool, surface, pair)
     if j < 0:
         return False

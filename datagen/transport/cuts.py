@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from datagen.records import Scene
-from datagen.records.arrays import Floats, Ints, l2_norm
+from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
@@ -37,7 +37,7 @@ from datagen.units import path_from_time
 AIM = 0.95
 """Error that a run aims at, relative to the one asked."""
 COARSER = 30.0
-"""δ of the pilot, in units of that with which all elements together would err by their light."""
+"""δ of the first pilot, in units of that with which all elements together would err by their light."""
 FEW = 32
 """Most pairs of laser point and pixel of a pilot."""
 PILOTS, STEP, CLOSE = 6, 6.0, 1.5
@@ -53,17 +53,18 @@ DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
-FINEST = 100.0
-"""Most that δ falls in one step: bounds the time of a scene whose pilot met little of its light."""
+FINEST, COARSEN = 100.0, 2.0
+"""Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
+and most that it rises."""
 OUTSIDE = 1e-3
 """What light outside the window counts for in the pilot."""
 LEAST_LIGHT = 1e-100
 """Light that is divided by at least."""
 RUNS = 2
 """Most times that all pairs are run with another δ."""
-NEAR = 0.05
+NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
-light: 0.2 for a plate 1 mm from a laser point, 0.014 at most in rooms with rough walls."""
+light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 SAMPLES = 1 << 16
@@ -127,11 +128,17 @@ class Cuts:
             caster.offset_m,
         )  # fmt: skip
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
-        of_objects = np.array([role == "object" for role in scene.roles])
-        self.groups = np.where(of_objects, np.cumsum(of_objects) - 1, of_objects.sum())
+        self.of_objects = np.array([role == "object" for role in scene.roles])
+        self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.expected = np.zeros(2)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
+
+    def worth(self, norms: Floats, whole: float) -> Bools:
+        """(K,) whether a part is an object with enough light for an error of its own, from the L2 norms of the light
+        of each part (K,) and of the whole, photons."""
+        least = max(FAINT * whole, self.problem.accuracy.faint_part)
+        return np.asarray(self.of_objects & (norms > least))
 
     def seed(self, *numbers: int) -> int:
         """A seed of random numbers of its own."""
@@ -255,16 +262,25 @@ class _Found:
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
         share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
-        scene, errors, whole = cuts.problem.scene, dict[str, float](), l2_norm(total)
-        for k, name in enumerate(scene.part_names):
-            own = l2_norm(light[k])
-            if scene.roles[k] == "object" and own > max(FAINT * whole, cuts.problem.accuracy.faint_part):
-                errors[name] = math.sqrt(each[cuts.groups[k]].sum()) / own
+        norms, names = np.array([l2_norm(of_part) for of_part in light]), cuts.problem.scene.part_names
+        errors = {
+            names[k]: math.sqrt(each[cuts.groups[k]].sum()) / float(norms[k])
+            for k in np.flatnonzero(cuts.worth(norms, l2_norm(total)))
+        }
         outside = (self.outside / weight[cuts.groups]).sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
             rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
         )  # fmt: skip
+
+
+class _Known(NamedTuple):
+    """What a run has told: light (K, n, T), photons, of 1/`more` of all pairs, and squared errors (G,) of the groups
+    for δ = 1."""
+
+    light: Floats
+    squares: Floats
+    more: float
 
 
 def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
@@ -274,94 +290,95 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     A pilot of some pairs tells how large errors are; all pairs are then run, and once more if that falls short.
     """
     cuts = Cuts(problem)
-    few = every = np.arange(len(cuts.pairs))
-    if len(every) > FEW:
-        place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(every) / FEW
-        few = place.astype(np.int64)
-    # A pilot tells what finer elements err by only if these are not much finer.
-    more, found = len(every) / len(few), _Found(cuts, problem.capture.time.bins)
-    delta = COARSER * _asked(problem, cuts, few[:: max(len(few) // FIRST, 1)], target)
-    light, squares, again = np.zeros((len(cuts.groups), len(few), found.light.shape[2])), delta * 0.0, delta > 0.0
-    for turn in range(PILOTS):
-        pilot = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
-        light[again[cuts.groups]] = pilot.light[again[cuts.groups]]
-        squares = np.where(again, more * pilot.square.sum(axis=1) * delta ** (-2 * FALLS), squares)
-        wanted = _precision(problem, cuts, (SCATTER + SHARED) * squares, light, target, more)
-        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
-        again = CLOSE * finer < delta
-        if not again.any() or turn == PILOTS - 1:
-            break
-        delta = np.where(again, np.maximum(finer, delta / STEP), delta)
+    every = np.arange(len(cuts.pairs))
+    known, delta = _pilot(cuts, target)
     if cuts.expected[1] > NEAR * cuts.expected[0]:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often.
-    each = np.square(light.sum(axis=0)).sum(axis=1)
-    histograms = more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
+    each = np.square(known.light.sum(axis=0)).sum(axis=1)
+    histograms = known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
-    claimed = SCATTER / times + SHARED
+    found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
         # The precision of each of so many runs.
         there = found.precision / times
-        wanted = _precision(problem, cuts, claimed * squares, light, target, more) - there
-        if turn == 0:
-            # Coarser elements than the pilot's may err by more than is known from it.
-            known = delta ** (-2 * FALLS)
-            wanted = np.maximum(wanted, known * np.minimum(wanted / known, 1.0) ** FALLS)
-        wanted = np.where(wanted > ENOUGH * there, wanted, 0.0)
-        if not wanted.any():
+        wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
+        again = wanted > ENOUGH * there
+        if not again.any():
             break
-        # Elements are as fine as those of a single run, because what all runs share does not average out.
-        finer = np.maximum(np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS), delta / FINEST)
-        some = np.where(wanted > 0, finer, np.nan)
+        # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
+        # coarser than what is known, as the error of small objects may rise steeply.
+        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
+        delta = np.where(again, np.clip(finer, delta / FINEST, delta if turn else COARSEN * delta), delta)
         for _ in range(times):
-            found.add(cuts.run(every, some, 2 + found.runs), some)
-        delta = np.where(wanted > 0, finer, delta)
-        light, more, squares = found.mean, 1.0, found.spread / np.maximum(found.expected, 1e-300)
+            found.add(cuts.run(every, np.where(again, delta, np.nan), 2 + found.runs), np.where(again, delta, np.nan))
+        known = _Known(found.mean, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
     return found.result()
 
 
-def _asked(problem: Problem, cuts: Cuts, few: Ints, target: float) -> Floats:
+def _pilot(cuts: Cuts, target: float) -> tuple[_Known, Floats]:
+    """What runs of a few pairs tell, and δ (G,) of the last of them, which is not much coarser than what follows: of
+    much finer elements it would tell nothing."""
+    few = np.arange(len(cuts.pairs))
+    if len(few) > FEW:
+        place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(few) / FEW
+        few = place.astype(np.int64)
+    more, bins = len(cuts.pairs) / len(few), cuts.problem.capture.time.bins
+    delta = COARSER * _asked(cuts, few[:: max(len(few) // FIRST, 1)], target)
+    known, again = _Known(np.zeros((len(cuts.groups), len(few), bins)), np.zeros(len(delta)), more), delta > 0.0
+    for turn in range(PILOTS):
+        run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
+        known.light[again[cuts.groups]] = run.light[again[cuts.groups]]
+        known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
+        wanted = _precision(cuts, known, SCATTER + SHARED, target)
+        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
+        again = CLOSE * finer < delta
+        if turn == PILOTS - 1 or not again.any():
+            break
+        delta = np.where(again, np.maximum(finer, delta / STEP), delta)
+    return known, delta
+
+
+def _asked(cuts: Cuts, few: Ints, target: float) -> Floats:
     """(G,) L2 error that is asked of each group in a histogram, photons, from a run of a few with few elements.
 
     Light outside the window counts a little, so that a window without light takes no time.
     """
-    G = cuts.groups.max() + 1
-    first = cuts.run(few, np.full(G, COARSE), 0)
-    outside = OUTSIDE * l2_norm(first.outside.sum(axis=0))
-    whole = max(math.sqrt(_without_noise(first.light.sum(axis=0), first.whole)), outside, LEAST_LIGHT)
-    asked = np.full(G, target * whole)
-    for k in np.flatnonzero(cuts.groups < G - 1):
-        own = math.sqrt(_without_noise(first.light[k], first.square[cuts.groups[k]]))
-        if own > max(FAINT * whole, problem.accuracy.faint_part * math.sqrt(len(few) / len(cuts.pairs))):
-            asked[cuts.groups[k]] = min(target * whole, problem.accuracy.each_part * own)
+    G, accuracy = cuts.groups.max() + 1, cuts.problem.accuracy
+    run = cuts.run(few, np.full(G, COARSE), 0)
+    outside = OUTSIDE * l2_norm(run.outside.sum(axis=0))
+    whole = max(_without_noise(run.light.sum(axis=0), run.whole), outside, LEAST_LIGHT)
+    own = np.array([_without_noise(of, run.square[g]) for of, g in zip(run.light, cuts.groups, strict=True)])
+    asked, of_all = np.full(G, target * whole), math.sqrt(len(cuts.pairs) / len(few))
+    for k in np.flatnonzero(cuts.worth(of_all * own, of_all * whole)):
+        asked[cuts.groups[k]] = min(target * whole, accuracy.each_part * own[k])
     return asked / math.sqrt(len(few))
 
 
 def _without_noise(light: Floats, squares: Floats) -> float:
-    """The square of the L2 norm of light (n, T) with noise of the L2 norms `squares` (n,), at least a tenth of it."""
+    """The L2 norm of light (n, T) whose noise has the L2 norms whose squares are (n,); its square is at least a tenth
+    of what it is with noise."""
     norm = l2_norm(light) ** 2
-    return max(norm - float(squares.sum()), 0.1 * norm)
+    return math.sqrt(max(norm - float(squares.sum()), 0.1 * norm))
 
 
-def _precision(problem: Problem, cuts: Cuts, squares: Floats, light: Floats, target: float, more: float) -> Floats:
-    """(G,) precision with which the whole and each object meet their targets, from the `squares` a² of the groups.
+def _precision(cuts: Cuts, known: _Known, claimed: float, target: float) -> Floats:
+    """(G,) precision with which the whole and each object meet their targets.
 
-    light : (K, n, T) of some pairs, 1/`more` of all.
+    claimed : squared errors that will be claimed, relative to those by which two replicates differ.
     """
-    asked, scene = problem.accuracy, problem.scene
-    whole = more * l2_norm(light.sum(axis=0)) ** 2
+    squares, more = claimed * known.squares, math.sqrt(known.more)
+    norms, whole = more * np.array([l2_norm(of) for of in known.light]), more * l2_norm(known.light.sum(axis=0))
     own = np.zeros(len(squares))
-    for k in range(len(light)):
-        of_part = more * l2_norm(light[k]) ** 2
-        if scene.roles[k] == "object" and of_part > max(FAINT**2 * whole, asked.faint_part**2):
-            group = cuts.groups[k]
-            own[group] = max(own[group], squares[group] / ((AIM * asked.each_part) ** 2 * of_part))
+    for k in np.flatnonzero(cuts.worth(norms, whole)):
+        group, asked = cuts.groups[k], AIM * cuts.problem.accuracy.each_part * norms[k]
+        own[group] = max(own[group], squares[group] / asked**2)
     # All others alike: an element is worth its rays where it errs by as much as any other.
-    left, others, alike = max((AIM * target) ** 2 * whole, 1e-300), np.full(len(own), True), 0.0
+    left, others = max((AIM * target * whole) ** 2, LEAST_LIGHT), np.full(len(own), True)
     while others.any():
-        alike = squares[others].sum() / (left - (squares / np.where(others, np.inf, own)).sum())
+        alike = squares[others].sum() / (left - (squares[~others] / own[~others]).sum())
         enough = others & (own >= alike)
         if not enough.any():
-            break
+            return np.asarray(np.maximum(own, alike))
         others &= ~enough
-    return np.maximum(own, alike) if others.any() else own
+    return own
