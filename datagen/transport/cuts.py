@@ -46,7 +46,7 @@ FIRST = 16
 """Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-SCATTER, SHARED = 0.75, 0.5
+SCATTER, SHARED = 0.45, 0.8
 """Squared errors over that by which two replicates differ, as measured: of what averages out over runs, and of shapes
 that are alike in all of them."""
 DEGREES = 6.0
@@ -134,11 +134,15 @@ class Cuts:
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
+    def least(self, whole: float) -> float:
+        """L2 norm of the light of the faintest object that has an error of its own, photons, if that of all light is
+        `whole`."""
+        return max(FAINT * whole, self.problem.accuracy.faint_part)
+
     def worth(self, norms: Floats, whole: float) -> Bools:
-        """(K,) whether a part is an object with enough light for an error of its own, from the L2 norms of the light
-        of each part (K,) and of the whole, photons."""
-        least = max(FAINT * whole, self.problem.accuracy.faint_part)
-        return np.asarray(self.of_objects & (norms > least))
+        """(K,) whether a part is an object with an error of its own, from the L2 norms of the light of each part (K,)
+        and of the whole, photons."""
+        return np.asarray(self.of_objects & (norms > self.least(whole)))
 
     def seed(self, *numbers: int) -> int:
         """A seed of random numbers of its own."""
@@ -303,7 +307,7 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
         # The precision of each of so many runs.
         there = found.precision / times
         wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
-        again = wanted > ENOUGH * there
+        again = (wanted > ENOUGH * there) | (turn == 0)
         if not again.any():
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
@@ -348,10 +352,11 @@ def _asked(cuts: Cuts, few: Ints, target: float) -> Floats:
     run = cuts.run(few, np.full(G, COARSE), 0)
     outside = OUTSIDE * l2_norm(run.outside.sum(axis=0))
     whole = max(_without_noise(run.light.sum(axis=0), run.whole), outside, LEAST_LIGHT)
-    own = np.array([_without_noise(of, run.square[g]) for of, g in zip(run.light, cuts.groups, strict=True)])
     asked, of_all = np.full(G, target * whole), math.sqrt(len(cuts.pairs) / len(few))
-    for k in np.flatnonzero(cuts.worth(of_all * own, of_all * whole)):
-        asked[cuts.groups[k]] = min(target * whole, accuracy.each_part * own[k])
+    for k in np.flatnonzero(cuts.of_objects):
+        # Few elements may miss an object: what is not seen may have as much light as counts.
+        own = max(_without_noise(run.light[k], run.square[cuts.groups[k]]), cuts.least(of_all * whole) / of_all)
+        asked[cuts.groups[k]] = min(target * whole, accuracy.each_part * own)
     return asked / math.sqrt(len(few))
 
 

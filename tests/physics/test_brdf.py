@@ -160,7 +160,8 @@ def test_the_largest_value_over_a_piece_of_surface(material: Material) -> None:
     kind, values = row_of(material)
     a, b = directions(3)
     f, _ = values_along(kind, values, NORMAL, a, b)
-    np.testing.assert_allclose(most_along(kind, values, NORMAL, a, b, 0.0, 0.0), f, rtol=1e-6)
+    # Where a lobe has all but ended, rounding of its angle is all that is left.
+    np.testing.assert_allclose(most_along(kind, values, NORMAL, a, b, 0.0, 0.0), f, rtol=1e-6, atol=1e-12 * f.max())
     if math.isinf(model_of(material).lobe_width_rad(material)):
         most = most_along(kind, values, NORMAL, a, b, 0.05, 0.02)
         assert np.isfinite(most).all() and (most >= f * (1 - 1e-9)).all()
