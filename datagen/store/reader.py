@@ -42,9 +42,8 @@ WORTH_BYTES = 2**21
 """Decoded bytes of a read below which starting threads takes longer than it saves."""
 _MISSING = 2**64 - 1
 """Offset and size of a missing chunk in a shard's index (Zarr's `sharding_indexed`)."""
-_DIGEST_BYTES = 32
-_NOT_MADE = bytes(_DIGEST_BYTES)
-"""In place of the digest of a scene that could not be made."""
+_MADE, _NOT_MADE, _STATED_BYTES = b"\x01", bytes(33), 33
+"""What comes before the digest of a scene; what stands for one that could not be made; and their length."""
 _CRC_BYTES = 4
 _HEADER_BYTES = 16
 _PLAIN, _UNSPLIT = 2, 16
@@ -280,8 +279,8 @@ class DatasetReader:
         if not self._check or seen[scene]:
             return
         shard, within = divmod(scene, self._schema.scenes_per_shard)
-        due = self._record(shard)[field.name][1][_DIGEST_BYTES * within :][:_DIGEST_BYTES]
-        if due != _NOT_MADE and bytes.fromhex(digest(field, value)) != due:
+        due = self._record(shard)[field.name][1][_STATED_BYTES * within :][:_STATED_BYTES]
+        if due != _NOT_MADE and _MADE + bytes.fromhex(digest(field, value)) != due:
             raise self._fault(field, shard, scene, f"field {field.name} decodes to other values than were written")
         seen[scene] = True
 
@@ -305,7 +304,7 @@ class DatasetReader:
             name: (
                 record.files[shard_file(field, shard)].bytes,
                 bytearray().join(
-                    _NOT_MADE if scene.failure is not None else bytes.fromhex(scene.digests[name])
+                    _NOT_MADE if scene.failure is not None else _MADE + bytes.fromhex(scene.digests[name])
                     for scene in record.scenes
                 ),
             )

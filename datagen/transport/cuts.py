@@ -46,7 +46,7 @@ FIRST = 16
 """Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-SCATTER, SHARED = 0.45, 0.8
+SCATTER, SHARED = 0.75, 0.5
 """Squared errors over that by which two replicates differ, as measured: of what averages out over runs, and of shapes
 that are alike in all of them."""
 DEGREES = 6.0

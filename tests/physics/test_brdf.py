@@ -174,7 +174,8 @@ def test_the_largest_value_over_a_piece_of_surface(material: Material) -> None:
     most = most_along(kind, values, NORMAL, a[steep], b[steep], turn, 0.0)
     elsewhere, _ = values_along(kind, values, NORMAL, a[steep], turned[steep])
     assert np.isfinite(most).all()
-    assert (most >= f[steep] * (1 - 1e-9)).all() and (most >= 0.6 * elsewhere).all()
+    assert (most >= f[steep] * (1 - 1e-9) - 1e-12 * f.max()).all()
+    assert (most >= 0.6 * elsewhere - 1e-12 * f.max()).all()
 
 
 @every_kind
