@@ -92,15 +92,15 @@ class Run(NamedTuple):
     """Light of n histograms.
 
     light : (K, n, T) photons by part, mean of both replicates. outside : (K, n) photons outside the window. square :
-    (G, n) squared L2 norms of half their difference, by group of parts; whole : (n,) of all parts. samples : (K,)
-    number of samples by part.
+    (G, n) squared L2 norms of half their difference, by group of parts; whole : (n,) of all parts. samples :
+    number of samples.
     """
 
     light: Floats
     outside: Floats
     square: Floats
     whole: Floats
-    samples: Ints
+    samples: int
 
 
 class Cuts:
@@ -113,17 +113,17 @@ class Cuts:
 
     def __init__(self, problem: Problem) -> None:
         self.problem, scene, axis = problem, problem.scene, problem.capture.time
-        self.tree, self.pairs = Hierarchy.of(scene), pairs_of(problem.capture)
+        tree, self.pairs = Hierarchy.of(scene), pairs_of(problem.capture)
         materials, caster, points = problem.materials, problem.caster, problem.points
         width = np.array([lobe_width(material) for material in scene.materials])
         peak = materials.values[:, 0] / math.pi * (1.0 + (materials.kind != LAMBERTIAN) / width**2)
         bin_m = float(path_from_time(axis.width_s))
         air = scene.attenuation_per_m
         self.room = Room(
-            self.tree, materials.kind, materials.values, peak, width, outer_sides(scene), points,
+            tree, materials.kind, materials.values, peak, width, outer_sides(scene), points,
             np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
             axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
-            ON_PLANE * self.tree.extent, SMALLEST * self.tree.extent,
+            ON_PLANE * tree.extent, SMALLEST * tree.extent,
             np.array([*caster.center, caster.half_extent_m]),
             caster.offset_m,
         )  # fmt: skip
@@ -154,7 +154,7 @@ class Cuts:
         number : of the run; each draws its own random numbers.
         """
         K, T = len(self.problem.scene.part_names), self.problem.capture.time.bins
-        light, outside, samples = np.zeros((K, len(which), T)), np.zeros((K, len(which))), np.zeros(K, np.int64)
+        light, outside, samples = np.zeros((K, len(which), T)), np.zeros((K, len(which))), 0
         square, whole = np.zeros((self.groups.max() + 1, len(which))), np.zeros(len(which))
         active = np.flatnonzero(~np.isnan(delta[self.groups]))
         squares = self.squares[self.pairs[which, 1]]
@@ -169,7 +169,7 @@ class Cuts:
                 both, over = np.zeros((2, len(active), len(some), T)), np.zeros((2, len(active), len(some)))
                 for r in range(2):
                     seed = self.seed(2, number, int(some[0]), r)
-                    samples[active] += self._add(pairs, active, delta[self.groups], r, seed, pool, both[r], over[r])
+                    samples += self._add(pairs, active, delta[self.groups], r, seed, pool, both[r], over[r])
                 for a, k in enumerate(active):
                     light[k, some] = 0.5 * (both[0, a] + both[1, a])
                 outside[np.ix_(active, some)] = over.mean(axis=0)
@@ -183,16 +183,16 @@ class Cuts:
     def _add(
         self, pairs: Ints, active: Ints, delta: Floats, replicate: int, seed: int, pool: FovClusters, light: Floats,
         outside: Floats,
-    ) -> Ints:  # fmt: skip
+    ) -> int:  # fmt: skip
         """Adds a replicate of the `active` parts' light of some pairs to light (A, n, T) and outside (A, n); returns
-        the number of samples of each part."""
-        slot, samples = np.full(len(delta), -1), np.zeros(len(active), np.int64)
+        the number of samples."""
+        slot, samples = np.full(len(delta), -1), 0
         slot[active] = np.arange(len(active))
         walk = Walk.of()
         while walk.at[0] < len(pairs):
             used = emit(pairs, delta, slot, replicate, seed, self.room, pool, walk, self.expected, self.batch)
             visible = self.every[:used]
-            samples += np.bincount(self.batch.row[:used] // len(pairs), minlength=len(active))
+            samples += used
             for leg in range(2):
                 origin, span = self.origin[: len(visible)], self.span[: len(visible)]
                 legs_of(self.batch, visible, leg, origin, span)
@@ -229,7 +229,7 @@ class _Found:
         self.cuts, self.light, self.outside = cuts, np.zeros((K, H, bins)), np.zeros((K, H))
         self.square, self.alike = np.zeros((2, G, H))
         self.precision, self.spread, self.expected = np.zeros((3, G))
-        self.common, self.runs, self.samples = 1.0, 0, 0.0
+        self.common, self.runs, self.samples = 1.0, 0, 0
 
     def add(self, run: Run, delta: Floats) -> None:
         """Add a run of all pairs, with `delta` (G,); NaN for groups that were left out."""
@@ -245,7 +245,7 @@ class _Found:
         self.expected += np.nan_to_num(delta ** (2 * FALLS))
         # Groups share FoV points, so that their errors need not be independent.
         self.common = float(run.whole.sum() / max(run.square.sum(), 1e-300)) if run.whole.any() else self.common
-        self.runs, self.samples = self.runs + 1, self.samples + float(run.samples.sum())
+        self.runs, self.samples = self.runs + 1, self.samples + run.samples
 
     @property
     def total_weight(self) -> Floats:
@@ -304,6 +304,8 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
     found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
+        if turn:
+            known = _Known(found.mean, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
         there = found.precision / times
         wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
@@ -316,7 +318,6 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
         delta = np.where(again, np.clip(finer, delta / FINEST, delta if turn else COARSEN * delta), delta)
         for _ in range(times):
             found.add(cuts.run(every, np.where(again, delta, np.nan), 2 + found.runs), np.where(again, delta, np.nan))
-        known = _Known(found.mean, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
     return found.result()
 
 
