@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import shlex
 from collections.abc import Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any, ClassVar, NoReturn, cast
 
 import click
@@ -199,6 +201,10 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
     if quiet and result.noisy:
         click.echo(result.noisy, err=True)
     click.echo(result.summary())
+    if result.complete and not quiet:
+        # Scenes of an object store are not drawn.
+        draw = f"; datagen show {shlex.quote(out)} 0" if isinstance(result.path, Path) else ""
+        click.echo(f"next: datagen info {shlex.quote(out)}{draw}", err=True)
 
 
 @cli.command()
@@ -257,6 +263,9 @@ def show(dataset: str, index: int, out: str | None) -> None:
 
     for picture in draw(dataset, index, out):
         click.echo(picture)
+    # On standard error, so that standard output has paths alone.
+    then = f"next: datagen preview {shlex.quote(dataset)}; README (Train on it) trains a network on such a dataset"
+    click.echo(then, err=True)
 
 
 @cli.command()

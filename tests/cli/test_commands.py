@@ -15,6 +15,7 @@ from here_and_now import HereAndNow
 
 from datagen.building import resimulate
 from datagen.cli import run
+from datagen.report import pages
 from datagen.store.verify import dataset_digest
 
 pytestmark = pytest.mark.usefixtures("builds_here")
@@ -50,6 +51,27 @@ def test_the_whole_chain(built: Path, capsys: pytest.CaptureFixture[str]) -> Non
         assert piece in text
     assert run(["build", str(built / "tiny.yaml"), dataset]) == 0
     assert "nothing left to build, 2 were there; complete with 3 scenes" in capsys.readouterr().out
+
+
+def test_build_and_show_say_what_to_do_next(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In their last line, where everything is there; standard output has what a script reads."""
+    config, dataset = str(built / "tiny.yaml"), str(built / "out/tiny.zarr")
+    assert run(["build", config, dataset]) == 0
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"next: datagen info {dataset}; datagen show {dataset} 0"
+    assert run(["build", config, dataset, "--quiet"]) == 0
+    assert "next:" not in capsys.readouterr().err
+    assert run(["build", config, str(tmp_path / "part"), "--shards", "0"]) == 0
+    said = capsys.readouterr()
+    assert "other shards are missing" in said.out and "next:" not in said.err
+    monkeypatch.setattr(pages, "show", lambda *_: [Path("overview.png")])
+    assert run(["show", "a set", "0"]) == 0
+    said = capsys.readouterr()
+    assert said.out == "overview.png\n"
+    assert said.err.splitlines()[-1].startswith("next: datagen preview 'a set'; README (Train on it)")
+    assert "\n## Train on it\n" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_pages_and_pictures_are_drawn(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
