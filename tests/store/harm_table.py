@@ -1,4 +1,4 @@
-"""The harm that docs/datasets.md counts: `python tests/store/harm_table.py [--kills 200] [--corruptions 500]`.
+"""The harm that docs/datasets.md speaks of: `python tests/store/harm_table.py [--kills 200] [--corruptions 500]`.
 
 Exit status 1 where anything was lost, read wrong without a word, or ended in a traceback.
 """
