@@ -57,6 +57,28 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 """Steps of additive recurrences (Roberts 2018), which spread the hidden and the FoV points of a pair evenly."""
 
 
+def _divided() -> tuple[tuple[int, ...], Floats, Ints]:
+    """How a triangle is divided into 4^level equal parts: for each level the number of their corners, where these lie
+    (LEVELS + 1, 15, 2), as shares of the ways to its second and third corner, and those of each part (LEVELS + 1, 16,
+    3)."""
+    counts, places, parts = list[int](), np.zeros((LEVELS + 1, 15, 2)), np.zeros((LEVELS + 1, 16, 3), np.int64)
+    for level in range(LEVELS + 1):
+        n = 2**level
+        every = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
+        # A part that stands upright, and the one beside it that is upside down.
+        of = [
+            (every.index((i + down, j)), every.index((i + 1, j + down)), every.index((i, j + 1)))
+            for i in range(n) for j in range(n - i) for down in range(2 if j < n - i - 1 else 1)
+        ]  # fmt: skip
+        counts.append(len(every))
+        places[level, : len(every)], parts[level, : len(of)] = np.array(every) / n, of
+    return tuple(counts), places, parts
+
+
+CORNERS, PLACES, PARTS = _divided()
+"""Of a triangle's parts."""
+
+
 class Pair(NamedTuple):
     """A laser point and a pixel: the laser point, its distance to the laser where that counts, m, the share of light
     that gets there, and the index of the pixel."""
@@ -69,8 +91,8 @@ class Pair(NamedTuple):
 
 class Hidden(NamedTuple):
     """A hidden point, drawn on an element: place, metres, normal, and density, 1/m²; the guessed light of the element
-    for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, and by how much
-    their mean times are late, bins."""
+    for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, the sum of the
+    guesses at all corners of them, and by how much their mean times are late, bins."""
 
     point: Vector
     normal: Vector
@@ -78,6 +100,7 @@ class Hidden(NamedTuple):
     light: float
     corners: tuple[Vector, Vector, Vector]
     level: int
+    total: float
     bend: float
 
 
@@ -85,10 +108,9 @@ class Batch(NamedTuple):
     """Samples that wait for their rays.
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. light :
-    (n,) photons. level : (n,) of the 4^level equal parts of a triangle that the light is spread over. time, at :
-    (n, 15) arrival times by way of the corners of these parts, bins, and guessed light there: corner i, j, which lies
-    i/2^level and j/2^level of the way to two corners of the triangle, is number `_place(i, j)`. change : (n, 2) of
-    the times along the two sides of the cluster, bins.
+    (n,) photons, relative to the sum of the guesses at all corners of all parts. level : (n,) of the 4^level equal
+    parts of a triangle that the light is spread over. time, at : (n, 15) arrival times by way of their corners,
+    bins, and guesses there, in the order of `PLACES`. change : (n, 2) of the times along both sides of the cluster.
     """
 
     ends: NDArray[np.float32]
@@ -102,10 +124,9 @@ class Batch(NamedTuple):
     @classmethod
     def of(cls, n: int) -> Batch:
         """Room for n samples."""
-        corners = (2**LEVELS + 1) * (2**LEVELS + 2) // 2
         return cls(
             np.empty((n, 3, 3), np.float32), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64),
-            np.empty((n, corners)), np.empty((n, corners)), np.empty((n, 2)),
+            np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 2)),
         )  # fmt: skip
 
 
@@ -170,38 +191,21 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: igno
 
 
 @compiled(forceinline=True, fastmath=FAST, allocates=False)
-def _place(i, j, parts):  # type: ignore[no-untyped-def]
-    """Number of the corner i, j of a triangle whose sides are divided into so many parts."""
-    return i * (2 * parts + 3 - i) // 2 + j
-
-
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
-def _corners_of_part(i, j, down, parts):  # type: ignore[no-untyped-def]
-    """Numbers of the corners of part i, j: the one that stands upright, or the one beside it that is upside down."""
-    return _place(i + down, j, parts), _place(i + 1, j + down, parts), _place(i, j + 1, parts)
-
-
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
-def _drawn_part(at, parts, u):  # type: ignore[no-untyped-def]
-    """A part, drawn by its light; u as a new random number; and three times the light of all parts, each of which has
-    the unit of area."""
-    total = 0.0
-    for i in range(parts):
-        for j in range(parts - i):
-            for down in range(2 if j < parts - i - 1 else 1):
-                a, b, c = _corners_of_part(i, j, down, parts)
-                total += at[a] + at[b] + at[c]
-    before, rest = 0.0, u * total
-    i = j = down = 0
-    for i in range(parts):
-        for j in range(parts - i):
-            for down in range(2 if j < parts - i - 1 else 1):
-                a, b, c = _corners_of_part(i, j, down, parts)
-                own = at[a] + at[b] + at[c]
-                if rest < before + own or i == parts - 1:
-                    return i, j, down, min(max((rest - before) / own, 0.0), 1.0), total
-                before += own
-    return i, j, down, 0.5, total
+def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
+    """The number of a part, drawn by its light; u as a new random number; and the sum of the guesses at all corners
+    of all parts."""
+    total, last = 0.0, (1 << 2 * level) - 1
+    for part in range(last + 1):
+        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+        total += at[a] + at[b] + at[c]
+    rest = u * total
+    for part in range(last + 1):
+        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+        own = at[a] + at[b] + at[c]
+        if rest < own or part == last:
+            return part, min(max(rest / own, 0.0), 1.0), total
+        rest -= own
+    return last, 0.5, total
 
 
 @compiled(forceinline=True, fastmath=FAST, allocates=False)
@@ -223,25 +227,25 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
         w0, w1, w2 = max(own[9], least), max(own[10], least), max(own[11], least)
         while (bend > STRAIGHT * piece.width or across > EVEN) and level < LEVELS:
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
-    parts = 1 << level
-    for i in range(parts + 1):
-        for j in range(parts + 1 - i):
-            s1, s2 = i / parts, j / parts
-            s0 = 1.0 - s1 - s2
-            light = s0 * w0 + s1 * w1 + s2 * w2
-            if max(i, j, parts - i - j) < parts:
-                y = _between(y0, y1, y2, s0, s1, s2)
-                light = max(guess(y, n, surface, lit, seen, room.values, room.air, room.plane, 0.0)[0], LEAST * light)
-            at[_place(i, j, parts)] = light
-    i, j, down, u, total = _drawn_part(at, parts, walk.numbers[0])
-    a, b, c = _corners_of_part(i, j, down, parts)
+    for v in range(CORNERS[level]):
+        s1, s2 = PLACES[level, v, 0], PLACES[level, v, 1]
+        s0 = 1.0 - s1 - s2
+        light = s0 * w0 + s1 * w1 + s2 * w2
+        if max(s0, s1, s2) < 1.0:
+            y = _between(y0, y1, y2, s0, s1, s2)
+            light = max(guess(y, n, surface, lit, seen, room.values, room.air, room.plane, 0.0)[0], LEAST * light)
+        at[v] = light
+    part, u, total = _drawn_part(at, level, walk.numbers[0])
+    a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
     t0, t1, t2 = _barycentric(u, walk.numbers[1], at[a], at[b], at[c])
-    s1, s2 = (t0 * (i + down) + t1 * (i + 1) + t2 * i) / parts, (t0 * j + t1 * (j + down) + t2 * (j + 1)) / parts
+    s1 = t0 * PLACES[level, a, 0] + t1 * PLACES[level, b, 0] + t2 * PLACES[level, c, 0]
+    s2 = t0 * PLACES[level, a, 1] + t1 * PLACES[level, b, 1] + t2 * PLACES[level, c, 1]
     y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
-    light = area * total / (3.0 * parts * parts)
+    light = area * total / (3.0 * (1 << 2 * level))
     density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light
     # Of a small box nothing is guessed, and all of its light arrives at one time.
-    return Hidden(y, n, density, 0.0 if is_box else light, (y, y, y) if is_box else (y0, y1, y2), level, bend)
+    corners = (y, y, y) if is_box else (y0, y1, y2)
+    return Hidden(y, n, density, 0.0 if is_box else light, corners, level, total, bend)
 
 
 @compiled(forceinline=True, fastmath=FAST, allocates=False)
@@ -290,11 +294,11 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
         )
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
-    (y0, y1, y2), parts = hidden.corners, 1 << hidden.level
-    for i in range(parts + 1):
-        for j in range(parts + 1 - i):
-            y = _between(y0, y1, y2, 1.0 - (i + j) / parts, i / parts, j / parts)
-            time[_place(i, j, parts)] = (distance(y, pair.lit.point) + distance(y, z) + path) * per
+    y0, y1, y2 = hidden.corners
+    for v in range(CORNERS[hidden.level]):
+        s1, s2 = PLACES[hidden.level, v, 0], PLACES[hidden.level, v, 1]
+        y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
+        time[v] = (distance(y, pair.lit.point) + distance(y, z) + path) * per
     change[0], change[1] = one * per, two * per
 
 
@@ -312,7 +316,7 @@ def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expect
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
     _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
-    batch.light[used], batch.level[used] = light, hidden.level
+    batch.light[used], batch.level[used] = light / hidden.total, hidden.level
     return True
 
 
@@ -403,24 +407,17 @@ def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
     The light of a sample is spread over the arrival times of its parts in proportion to their guessed light.
     """
     for s in rows:
-        parts, at, time, row = 1 << batch.level[s], batch.at[s], batch.time[s], batch.row[s]
-        one, two, total = batch.change[s, 0], batch.change[s, 1], 0.0
-        for i in range(parts):
-            for j in range(parts - i):
-                for down in range(2 if j < parts - i - 1 else 1):
-                    a, b, c = _corners_of_part(i, j, down, parts)
-                    total += at[a] + at[b] + at[c]
+        level, at, time, row = batch.level[s], batch.at[s], batch.time[s], batch.row[s]
+        one, two = batch.change[s, 0], batch.change[s, 1]
         # A cluster over which times change by more than over the piece is spread by its quarters.
-        t0, t1, t2 = time[0], time[_place(parts, 0, parts)], time[_place(0, parts, parts)]
+        t0, t1, t2 = time[0], time[CORNERS[level] - 1], time[1 << level]
         m, variance = (t0 + t1 + t2) / 3.0, (one * one + two * two) / 12.0
         quarters = 2 if variance > WIDE * max((t0 - m) ** 2 + (t1 - m) ** 2 + (t2 - m) ** 2, 1.0) / 12.0 else 1
-        variance, share = variance / quarters**2, batch.light[s] / (total * quarters**2)
+        variance, share = variance / quarters**2, batch.light[s] / quarters**2
         for q in range(quarters * quarters):
             later = 0.25 * (one * (2 * (q % 2) - 1) + two * (2 * (q // 2) - 1)) if quarters > 1 else 0.0
-            for i in range(parts):
-                for j in range(parts - i):
-                    for down in range(2 if j < parts - i - 1 else 1):
-                        a, b, c = _corners_of_part(i, j, down, parts)
-                        t0, t1, t2 = widened(time[a] + later, time[b] + later, time[c] + later, variance)
-                        light = (at[a] + at[b] + at[c]) * share
-                        outside[row] += pour(histogram, row, tent(t0, t1, t2, at[a], at[b], at[c], light), light)
+            for part in range(1 << 2 * level):
+                a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+                t0, t1, t2 = widened(time[a] + later, time[b] + later, time[c] + later, variance)
+                light = (at[a] + at[b] + at[c]) * share
+                outside[row] += pour(histogram, row, tent(t0, t1, t2, at[a], at[b], at[c], light), light)
