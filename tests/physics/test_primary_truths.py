@@ -70,35 +70,43 @@ def test_rectangle_against_quadrature_per_3_mm_bin(side: int, accuracy: Accuracy
 
 
 @pytest.mark.parametrize("accuracy", [Accuracy(samples=1 << 17), BY_CUTS], ids=["paths", "cuts"])
-def test_an_occluder_casts_an_exact_shadow(accuracy: Accuracy) -> None:
-    """A screen halfway hides part of a plate from the laser point and part from the field of view: compared with a
-    brute-force integral."""
+@pytest.mark.parametrize("ahead", [0.1, 1.0, 1.9])
+def test_an_occluder_casts_an_exact_shadow(ahead: float, accuracy: Accuracy) -> None:
+    """A screen hides part of a plate from the laser point, another part of it from the field of view; close to the
+    wall, halfway, or close to the plate: compared with a brute-force integral."""
     wall = rectangle((0, 0, 0), (0, 3, 0), (0, 0, 3))
     plate = rectangle((2, 0, 0), (0, 0.5, 0), (0, 0, 0.5))
-    screen = rectangle((1, 0.1, 0.0), (0, 0.2, 0), (0, 0, 0.35))
-    scene = Scene.from_parts(
-        [
-            Part("wall", wall, Lambertian(0.9), "relay_wall"),
-            Part("plate", plate, Lambertian(0.7)),
-            Part("screen", screen, Lambertian(0.0)),
-        ]
-    )
     x1, x3, device, h = np.array([0, -0.6, 0.1]), np.array([0, 0.7, -0.1]), np.array([0.6, -1.5, 0]), 1e-4
+    parts = [Part("wall", wall, Lambertian(0.9), "relay_wall"), Part("plate", plate, Lambertian(0.7))]
+    # Middle, half sides, and share of the way from an end to the plate, by the shadow there. They must not touch.
+    screens = [
+        (np.array([2, *middle]) * on_the_way + end * (1 - on_the_way), half * on_the_way, on_the_way)
+        for end, middle, half, on_the_way in (
+            (x1, (0.3, 0.1), np.array([0.25, 0.35]), ahead / 2),
+            (x3, (-0.2, -0.25), np.array([0.2, 0.3]), ahead / 2 + 0.01),
+        )
+    ]
+    for k, (middle, (right, up), _) in enumerate(screens):
+        parts.append(Part(f"screen {k}", rectangle(middle, (0, right, 0), (0, 0, up)), Lambertian(0.0)))
+    scene = Scene.from_parts(parts)
     capture = Capture(Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(1, 20, 0))
     result = simulate(scene, capture, accuracy, seed=3)
 
-    n = 2000
+    n = 600
     knots = ((np.arange(n) + 0.5) / n * 2 - 1) * 0.5
     y, z = (k.ravel() for k in np.meshgrid(knots, knots))
     x2 = np.stack([np.full_like(y, 2.0), y, z], axis=1)
 
     def clear(p: np.ndarray) -> np.ndarray:
-        crossing = p + (x2 - p) * 0.5
-        return ~((np.abs(crossing[:, 1] - 0.1) < 0.2) & (np.abs(crossing[:, 2]) < 0.35))
+        off = [
+            (np.abs((p + (x2 - p) * on_the_way - middle)[:, 1:]) / half).max(axis=1)
+            for middle, half, on_the_way in screens
+        ]
+        return np.min(off, axis=0) > 1
 
-    r1, r3 = np.linalg.norm(x2 - x1, axis=1), np.linalg.norm(x2 - x3, axis=1)
-    kernel = (2 / r1) ** 2 / r1**2 * (2 / r3) ** 2 / r3**2 * clear(x1) * clear(x3) / n**2
+    r1, r3, is_lit = np.linalg.norm(x2 - x1, axis=1), np.linalg.norm(x2 - x3, axis=1), clear(x1) & clear(x3)
+    kernel = (2 / r1) ** 2 / r1**2 * (2 / r3) ** 2 / r3**2 * is_lit / n**2
     omega = (2 * h) ** 2 * device[0] / np.linalg.norm(device - x3) ** 3
     truth = 0.9 * 0.7 * 0.9 / np.pi**3 * kernel.sum() * APERTURE_M2 * omega
-    assert 0.3 < (clear(x1) & clear(x3)).mean() < 0.9
+    assert 0.3 < is_lit.mean() < 0.9
     assert result.total.sum() + result.overflow.sum() == pytest.approx(truth, rel=0.01, abs=0)
