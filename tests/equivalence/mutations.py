@@ -60,8 +60,8 @@ class Mutation:
     """A fault of physics.
 
     name : of the fault, its way to light first. module : file in `datagen/transport/`. before, after : the text that
-    is found there once, and what takes its place. law : the test that is about what is wrong now: a file of `TESTS`
-    and the name of a function there.
+    is found there once, and what takes its place. law : the test that is about what is wrong now: a file of `TESTS`,
+    a function there and perhaps one of its cases.
     """
 
     name: str
@@ -82,51 +82,57 @@ class Mutation:
         return source.replace(self.before, self.after)
 
 
-OCCLUDER = PHYSICS + "test_primary_truths.py::test_an_occluder_casts_an_exact_shadow"
-RECTANGLE = PHYSICS + "test_primary_truths.py::test_rectangle_against_quadrature_per_3_mm_bin"
 PATCH = PHYSICS + "test_primary_truths.py::test_small_patch_amplitude_and_arrival_time"
-CUTS_IN_FOG = EQUIVALENCE + "test_cuts_and_paths.py::test_attenuation_and_windows"
-SIZES = EQUIVALENCE + "test_cuts_and_paths.py::test_pixels_of_every_size_and_place"
-IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
+RECTANGLE = PHYSICS + "test_primary_truths.py::test_rectangle_against_quadrature_per_3_mm_bin"
+OCCLUDER = PHYSICS + "test_primary_truths.py::test_an_occluder_casts_an_exact_shadow"
 SPHERE = PHYSICS + "test_all_bounces.py::test_sphere_energy_for_three_to_six_bounces"
 BLOCKS_IN_SPHERE = PHYSICS + "test_blocks.py::test_energy_inside_of_a_sphere"
 SHADOWS_AND_AIR = PHYSICS + "test_blocks.py::test_shadows_and_air_are_those_of_plain_paths"
 BINS = PHYSICS + "test_arrival_times.py::test_bins_of_a_triangle"
+IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
+DRAWS = PHYSICS + "test_brdf.py::test_sampler_has_the_density_it_states"
 
 MUTATIONS = (
     # Cuts.
     Mutation(
         "cuts: weight without the cosine at the FoV point", "weights.py",
-        "w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2)", "w = f1 * f2 * f3 * (up1 * r3) * (in2 * out2)", PATCH,
+        "w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2)", "w = f1 * f2 * f3 * (up1 * r3) * (in2 * out2)",
+        PATCH + "[wall-cuts]",
     ),
     Mutation(
         "cuts: weight with air on the first leg alone", "weights.py",
-        "transmittance(attenuation, r1 + r3), r1, r3", "transmittance(attenuation, r1), r1, r3", CUTS_IN_FOG,
+        "transmittance(attenuation, r1 + r3), r1, r3", "transmittance(attenuation, r1), r1, r3",
+        PATCH + "[wall-cuts]",
     ),
     Mutation(
         "cuts: hidden point drawn by guesses, density of even draws", "cut_steps.py",
-        "density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light", "density = 1.0 / area", RECTANGLE,
+        "density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light", "density = 1.0 / area",
+        RECTANGLE + "[5-cuts]",
     ),
     Mutation(
         "cuts: a FoV point drawn from several stands for one", "cut_steps.py",
-        "light = pair.power * each * w * pool.weight[j]", "light = pair.power * w * pool.weight[j]", PATCH,
+        "light = pair.power * each * w * pool.weight[j]", "light = pair.power * w * pool.weight[j]",
+        PATCH + "[wall-cuts]",
     ),
     Mutation(
         "cuts: a cluster opened without its last quarter", "cut_elements.py",
-        "for j in range(4):\n        inner = 4 * c", "for j in range(3):\n        inner = 4 * c", SIZES,
+        "for j in range(4):\n        inner = 4 * c", "for j in range(3):\n        inner = 4 * c",
+        PHYSICS + "test_primary_laws.py::test_arrival_times_of_a_large_pixel_are_spread",
     ),
     Mutation(
         "cuts: a box divided into its first half twice", "cut_elements.py",
         "push(tag, top + 1, BOX, tree.children[at, 1], c, q, many)",
         "push(tag, top + 1, BOX, tree.children[at, 0], c, q, many)",
-        PHYSICS + "test_cuts.py::test_the_mean_over_seeds_is_that_of_paths",
+        PHYSICS + "test_primary_laws.py::test_finer_triangles_and_another_order_are_the_same_surface",
     ),
     Mutation(
-        "cuts: no shadow ray to the FoV point", "cuts.py", "for leg in range(2):", "for leg in range(1):", OCCLUDER,
+        "cuts: no shadow ray to the FoV point", "cuts.py", "for leg in range(2):", "for leg in range(1):",
+        OCCLUDER + "[0.1-cuts]",
     ),
     Mutation(
         "cuts: FoV points without the air to the sensor", "fov_clusters.py",
-        "weight=found.weight * air", "weight=found.weight", CUTS_IN_FOG,
+        "weight=found.weight * air", "weight=found.weight",
+        PATCH + "[wall-cuts]",
     ),
     # Time bins.
     Mutation(
@@ -139,50 +145,57 @@ MUTATIONS = (
     ),
     Mutation(
         "times: without the leg from the laser", "cut_steps.py",
-        "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]", PATCH,
+        "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]",
+        PATCH + "[source-cuts]",
     ),
     # Blocks.
     Mutation(
         "blocks: light of an end without its cosine", "blocks.py",
         "evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e]",
-        "evaluate(k, row, m, back, v) * down / r**2 * ends.gain[e]", BLOCKS_IN_SPHERE,
+        "evaluate(k, row, m, back, v) * down / r**2 * ends.gain[e]",
+        BLOCKS_IN_SPHERE + "[4]",
     ),
     Mutation(
         "blocks: legs to the ends without air", "blocks.py",
-        "* ends.gain[e] * math.exp(-world.air * r)", "* ends.gain[e]", SHADOWS_AND_AIR,
+        "* ends.gain[e] * math.exp(-world.air * r)", "* ends.gain[e]",
+        SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
         "blocks: density of vertices without the cosine there", "blocks.py",
         "x.density[i, h] = pdf(k, row, m, back, v) * down / r**2",
-        "x.density[i, h] = pdf(k, row, m, back, v) * math.copysign(1.0, down) / r**2", BLOCKS_IN_SPHERE,
+        "x.density[i, h] = pdf(k, row, m, back, v) * math.copysign(1.0, down) / r**2",
+        BLOCKS_IN_SPHERE + "[4]",
     ),
     Mutation(
         "blocks: hidden legs keep their light", "blocks.py",
-        "x.light[i, h] = x.density[i, h] = 0.0", "x.density[i, h] = 0.0", SHADOWS_AND_AIR,
+        "x.light[i, h] = x.density[i, h] = 0.0", "x.density[i, h] = 0.0",
+        SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
         "blocks: no shadow rays between the vertices of pairs", "blocks.py",
         "[self.hidden(origin[:k], span[:k]),", "[np.zeros(k, np.bool_),",
-        SHADOWS_AND_AIR,
+        SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
         "blocks: heuristic without the way back", "blocks.py",
         "expected += rays * (onto_y * abs(down) + back_way)", "expected += rays * (onto_y * abs(down))",
-        BLOCKS_IN_SPHERE,
+        BLOCKS_IN_SPHERE + "[4]",
     ),
     Mutation(
         "blocks: roulette without compensation", "blocks.py",
-        "light /= chance[:, None].astype(np.float32)", "pass", BLOCKS_IN_SPHERE,
+        "light /= chance[:, None].astype(np.float32)", "pass",
+        BLOCKS_IN_SPHERE + "[all from 5]",
     ),
     Mutation(
         "blocks: light half a bin early", "blocks.py",
         "r * world.per_metre - world.start + 1.0", "r * world.per_metre - world.start + 0.5",
-        PHYSICS + "test_blocks.py::test_arrival_times_inside_of_a_sphere",
+        PHYSICS + "test_blocks.py::test_arrival_times_inside_of_a_sphere[4]",
     ),
     # Plain paths.
     Mutation(
         "paths: weight without the cosine at the FoV point", "path_steps.py",
-        "f_x * f_v * cos_x * cos_v / (square * ways)", "f_x * f_v * cos_x / (square * ways)", PATCH,
+        "f_x * f_v * cos_x * cos_v / (square * ways)", "f_x * f_v * cos_x / (square * ways)",
+        PATCH + "[wall-paths]",
     ),
     Mutation(
         "paths: heuristic without the way back", "path_steps.py",
@@ -191,17 +204,19 @@ MUTATIONS = (
     Mutation(
         "paths: points drawn evenly, density by guesses", "path_aim.py",
         "running += density[start + j] * area[aim.triangles[first + j]]",
-        "running += area[aim.triangles[first + j]]", IN_FOG,
+        "running += area[aim.triangles[first + j]]",
+        IN_FOG,
     ),
     Mutation(
         "paths: no shadow ray to the FoV point", "paths.py",
         "yield order, self.unhidden(self.join(x, v, order))",
-        "yield order, head(self.room.found, self.join(x, v, order))", OCCLUDER,
+        "yield order, head(self.room.found, self.join(x, v, order))",
+        OCCLUDER + "[0.1-paths]",
     ),
     Mutation(
         "paths: numbers of the second vertex again for the third", "path_steps.py",
         "u, v = samples.numbers[s, 7], samples.numbers[s, 8]", "u, v = samples.numbers[s, 3], samples.numbers[s, 4]",
-        SPHERE,
+        IN_FOG,
     ),
     Mutation(
         "paths: roulette without compensation", "paths.py",
@@ -216,7 +231,8 @@ MUTATIONS = (
     # What all ways share.
     Mutation(
         "rays: shadow rays end a tenth short", "rays.py",
-        "reach = np.ones(len(origins), np.float32)", "reach = np.full(len(origins), 0.9, np.float32)", OCCLUDER,
+        "reach = np.ones(len(origins), np.float32)", "reach = np.full(len(origins), 0.9, np.float32)",
+        OCCLUDER + "[0.1-cuts]",
     ),
     Mutation(
         "rays: surfaces met from behind keep their normal", "rays.py",
@@ -230,12 +246,12 @@ MUTATIONS = (
     Mutation(
         "BRDF: Phong's lobe drawn by another exponent", "brdf/phong.py",
         "/ (exponent + 1.0)), v)", "/ (exponent + 2.0)), v)",
-        PHYSICS + "test_brdf.py::test_sampler_has_the_density_it_states",
+        DRAWS,
     ),
     Mutation(
         "BRDF: Oren–Nayar's even share over the whole sphere", "brdf/oren_nayar.py",
         "return share / (2.0 * math.pi) +", "return share / (4.0 * math.pi) +",
-        PHYSICS + "test_brdf.py::test_sampler_has_the_density_it_states",
+        DRAWS,
     ),
 )  # fmt: skip
 

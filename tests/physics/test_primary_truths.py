@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -25,13 +27,15 @@ def wall_and(plate: trimesh.Trimesh, albedo: float = 0.6) -> Scene:
 @pytest.mark.parametrize("accuracy", [Accuracy(samples=256, max_bounces=3), BY_CUTS], ids=["paths", "cuts"])
 @pytest.mark.parametrize("origin", ["wall", "source"])
 def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy) -> None:
-    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time."""
+    """L = (ρ₁/π) cosθ₁cosθ₂ a/R₁₂² · (ρ₂/π) cosθ₂′cosθ₃/R₂₃² · (ρ₃/π) A Ω, at one time, in fog on all
+    four legs."""
     side, h = 1e-3, 5e-4
     x2, n2 = np.array([1.2, 0.5, -0.3]), np.array([-1.0, 0, 0])
     x1, x3, device = np.array([0, -0.4, 0.2]), np.array([0, 0.9, 0.1]), np.array([2.0, -1.0, 0.4])
-    scene = wall_and(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2)))
+    scene = replace(wall_and(rectangle(x2, (0, side / 2, 0), (0, 0, side / 2))), attenuation_per_m=0.4)
     r12, r23, r3s = np.linalg.norm(x2 - x1), np.linalg.norm(x3 - x2), np.linalg.norm(device - x3)
-    path = r12 + r23 + (r3s + np.linalg.norm(device - x1) if origin == "source" else 0.0)
+    of_device = r3s + np.linalg.norm(device - x1)
+    path = r12 + r23 + (of_device if origin == "source" else 0.0)
     capture = Capture(
         Laser(device, [x1]), Sensor(device, square_pixels([x3], h)), bins_of_path(400, 1e-5, path - 2e-3, origin)
     )
@@ -42,6 +46,7 @@ def test_small_patch_amplitude_and_arrival_time(origin: str, accuracy: Accuracy)
     omega = (2 * h) ** 2 * (device - x3)[0] / r3s**3
     patch = 0.8 / np.pi * cos1 * cos2 / r12**2 * side**2
     expected = patch * 0.6 / np.pi * cos2_out * cos3 / r23**2 * 0.8 / np.pi * APERTURE_M2 * omega
+    expected *= np.exp(-0.4 * (r12 + r23 + of_device))
     assert result.total.sum() == pytest.approx(expected, rel=1e-4, abs=0)
     mean_time = (result.total[0, 0] * capture.time.centers_s).sum() / result.total.sum()
     assert mean_time == pytest.approx(path / C, abs=1e-5 / C)
