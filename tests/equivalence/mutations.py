@@ -146,7 +146,7 @@ MUTATIONS = (
     Mutation(
         "times: without the leg from the laser", "cut_steps.py",
         "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]",
-        PATCH + "[source-cuts]",
+        EQUIVALENCE + "test_cuts_and_paths.py::test_scans",
     ),
     # Blocks.
     Mutation(
