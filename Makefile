@@ -88,12 +88,14 @@ fuzz: setup
 	@echo "fuzz: SEED=$(SEED)"
 	DATAGEN_FUZZ=nightly $(BIN)/python -m pytest -p no:cacheprovider -n $(JOBS) --hypothesis-seed=$(SEED) tests/fuzz
 
-# About two hours on two cores: what the ordinary tests do with few cases, at the size that the documentation states.
-# Ten minutes for pytest and fuzz, then 70 and 40 for the rooms, on one core.
+# About two and a half hours on two cores: what the ordinary tests do with few cases, at the size that the documentation
+# states, and whether they notice faults. Ten minutes for pytest and fuzz, then 70, 30 for the mutations and 40 for the
+# rooms, on one core.
 nightly: setup
 	$(BIN)/python -m pytest -n $(JOBS) -m nightly
 	$(MAKE) fuzz
 	$(BIN)/python tests/store/harm_table.py
+	$(BIN)/python tests/equivalence/mutations.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
 bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-acceptance bench-peers

@@ -1,0 +1,340 @@
+"""Whether the tests notice faults in the light: `python tests/equivalence/mutations.py [NAME …] [--limit 300]`.
+
+Each mutation is a small fault of physics in one kernel: a cosine or an attenuation that is missing, a density that is
+not the one of the draws, an edge of a bin, a shadow ray that is not traced. The script applies one after the other to
+a copy of the sources and runs the tests of the light there: first the one that is about this fault, then all of
+`TESTS` in their order, up to the first that fails. It prints a row for each mutation. The first row, "none", is that
+of the sources as they are, which have to pass.
+
+Exit status 1 where no test fails within the limit, or where one fails by anything but its own assertion: a mutation
+that does not run says nothing about the tests.
+
+`tests/equivalence/test_mutations.py` holds that each mutation still finds the text that it changes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COPIED = ("datagen", "scene_library", "tests", "configs", "examples", "pyproject.toml")
+"""What the tests below read."""
+PHYSICS, EQUIVALENCE = "tests/physics/", "tests/equivalence/"
+TESTS = (
+    EQUIVALENCE + "test_materials.py",
+    PHYSICS + "test_sampling.py",
+    PHYSICS + "test_brdf.py",
+    PHYSICS + "test_arrival_times.py",
+    PHYSICS + "test_all_bounces.py",
+    PHYSICS + "test_blocks.py",
+    PHYSICS + "test_paths_laws.py",
+    PHYSICS + "test_primary_truths.py",
+    PHYSICS + "test_convex_bodies.py",
+    EQUIVALENCE + "test_paths.py",
+    EQUIVALENCE + "test_cuts_and_paths.py",
+    EQUIVALENCE + "test_lines_of_sight.py",
+    EQUIVALENCE + "test_bins_add_up.py",
+    PHYSICS + "test_curved_pixels.py",
+    PHYSICS + "test_cuts.py",
+    PHYSICS + "test_accuracy_target.py",
+    PHYSICS + "test_primary_laws.py",
+    EQUIVALENCE + "test_all_ways.py",
+)
+"""Files with laws of the light, those that tell most in a second first."""
+LIMIT_S = 300.0
+HEAD = "| mutation | kernel | first test that failed | seconds |\n|---|---|---|---|"
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A fault of physics.
+
+    name : of the fault, its way to light first. module : file in `datagen/transport/`. before, after : the text that
+    is found there once, and what takes its place. law : the test that is about what is wrong now: a file of `TESTS`,
+    a function there and perhaps one of its cases.
+    """
+
+    name: str
+    module: str
+    before: str
+    after: str
+    law: str
+
+    @property
+    def path(self) -> Path:
+        """The module's file, relative to the root."""
+        return Path("datagen", "transport", self.module)
+
+    def mutated(self, source: str) -> str:
+        """The module's source with the fault in it; `ValueError` if the text is not there exactly once."""
+        if (times := source.count(self.before)) != 1:
+            raise ValueError(f"{self.name}: the text to change is found {times} times in {self.module}, not once")
+        return source.replace(self.before, self.after)
+
+
+PATCH = PHYSICS + "test_primary_truths.py::test_small_patch_amplitude_and_arrival_time"
+RECTANGLE = PHYSICS + "test_primary_truths.py::test_rectangle_against_quadrature_per_3_mm_bin"
+OCCLUDER = PHYSICS + "test_primary_truths.py::test_an_occluder_casts_an_exact_shadow"
+SPHERE = PHYSICS + "test_all_bounces.py::test_sphere_energy_for_three_to_six_bounces"
+BLOCKS_IN_SPHERE = PHYSICS + "test_blocks.py::test_energy_inside_of_a_sphere"
+SHADOWS_AND_AIR = PHYSICS + "test_blocks.py::test_shadows_and_air_are_those_of_plain_paths"
+BINS = PHYSICS + "test_arrival_times.py::test_bins_of_a_triangle"
+IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
+DRAWS = PHYSICS + "test_brdf.py::test_sampler_has_the_density_it_states"
+
+MUTATIONS = (
+    # Cuts.
+    Mutation(
+        "cuts: weight without the cosine at the FoV point", "weights.py",
+        "w = f1 * f2 * f3 * (up1 * up3) * (in2 * out2)", "w = f1 * f2 * f3 * (up1 * r3) * (in2 * out2)",
+        PATCH + "[wall-cuts]",
+    ),
+    Mutation(
+        "cuts: weight with air on the first leg alone", "weights.py",
+        "transmittance(attenuation, r1 + r3), r1, r3", "transmittance(attenuation, r1), r1, r3",
+        PATCH + "[wall-cuts]",
+    ),
+    Mutation(
+        "cuts: hidden point drawn by guesses, density of even draws", "cut_steps.py",
+        "density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light", "density = 1.0 / area",
+        RECTANGLE + "[5-cuts]",
+    ),
+    Mutation(
+        "cuts: a FoV point drawn from several stands for one", "cut_steps.py",
+        "light = pair.power * each * w * pool.weight[j]", "light = pair.power * w * pool.weight[j]",
+        PATCH + "[wall-cuts]",
+    ),
+    Mutation(
+        "cuts: a cluster opened without its last quarter", "cut_elements.py",
+        "for j in range(4):\n        inner = 4 * c", "for j in range(3):\n        inner = 4 * c",
+        PHYSICS + "test_primary_laws.py::test_arrival_times_of_a_large_pixel_are_spread",
+    ),
+    Mutation(
+        "cuts: a box divided into its first half twice", "cut_elements.py",
+        "push(tag, top + 1, BOX, tree.children[at, 1], c, q, many)",
+        "push(tag, top + 1, BOX, tree.children[at, 0], c, q, many)",
+        PHYSICS + "test_primary_laws.py::test_finer_triangles_and_another_order_are_the_same_surface",
+    ),
+    Mutation(
+        "cuts: no shadow ray to the FoV point", "cuts.py", "for leg in range(2):", "for leg in range(1):",
+        OCCLUDER + "[0.1-cuts]",
+    ),
+    Mutation(
+        "cuts: FoV points without the air to the sensor", "fov_clusters.py",
+        "weight=found.weight * air", "weight=found.weight",
+        PATCH + "[wall-cuts]",
+    ),
+    # Time bins.
+    Mutation(
+        "times: edges of bins half a bin early", "arrival_times.py",
+        "x = i + 1.0 - a", "x = i + 0.5 - a", BINS,
+    ),
+    Mutation(
+        "times: light before the window with the wrong sign", "arrival_times.py",
+        "outside = a * a * (low - a * up)", "outside = a * a * (low + a * up)", BINS,
+    ),
+    Mutation(
+        "times: without the leg from the laser", "cut_steps.py",
+        "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]",
+        EQUIVALENCE + "test_cuts_and_paths.py::test_scans",
+    ),
+    # Blocks.
+    Mutation(
+        "blocks: light of an end without its cosine", "blocks.py",
+        "evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e]",
+        "evaluate(k, row, m, back, v) * down / r**2 * ends.gain[e]",
+        BLOCKS_IN_SPHERE + "[4]",
+    ),
+    Mutation(
+        "blocks: legs to the ends without air", "blocks.py",
+        "* ends.gain[e] * math.exp(-world.air * r)", "* ends.gain[e]",
+        SHADOWS_AND_AIR + "[4]",
+    ),
+    Mutation(
+        "blocks: density of vertices without the cosine there", "blocks.py",
+        "x.density[i, h] = pdf(k, row, m, back, v) * down / r**2",
+        "x.density[i, h] = pdf(k, row, m, back, v) * math.copysign(1.0, down) / r**2",
+        BLOCKS_IN_SPHERE + "[4]",
+    ),
+    Mutation(
+        "blocks: hidden legs keep their light", "blocks.py",
+        "x.light[i, h] = x.density[i, h] = 0.0", "x.density[i, h] = 0.0",
+        SHADOWS_AND_AIR + "[4]",
+    ),
+    Mutation(
+        "blocks: no shadow rays between the vertices of pairs", "blocks.py",
+        "[self.hidden(origin[:k], span[:k]),", "[np.zeros(k, np.bool_),",
+        SHADOWS_AND_AIR + "[4]",
+    ),
+    Mutation(
+        "blocks: heuristic without the way back", "blocks.py",
+        "expected += rays * (onto_y * abs(down) + back_way)", "expected += rays * (onto_y * abs(down))",
+        BLOCKS_IN_SPHERE + "[4]",
+    ),
+    Mutation(
+        "blocks: roulette without compensation", "blocks.py",
+        "light /= chance[:, None].astype(np.float32)", "pass",
+        BLOCKS_IN_SPHERE + "[all from 5]",
+    ),
+    Mutation(
+        "blocks: light half a bin early", "blocks.py",
+        "r * world.per_metre - world.start + 1.0", "r * world.per_metre - world.start + 0.5",
+        PHYSICS + "test_blocks.py::test_arrival_times_inside_of_a_sphere[4]",
+    ),
+    # Plain paths.
+    Mutation(
+        "paths: weight without the cosine at the FoV point", "path_steps.py",
+        "f_x * f_v * cos_x * cos_v / (square * ways)", "f_x * f_v * cos_x / (square * ways)",
+        PATCH + "[wall-paths]",
+    ),
+    Mutation(
+        "paths: heuristic without the way back", "path_steps.py",
+        "ways += onto_x * cos_x / (square * x.density)", "ways += 0.0", SPHERE,
+    ),
+    Mutation(
+        "paths: points drawn evenly, density by guesses", "path_aim.py",
+        "running += density[start + j] * area[aim.triangles[first + j]]",
+        "running += area[aim.triangles[first + j]]",
+        IN_FOG,
+    ),
+    Mutation(
+        "paths: no shadow ray to the FoV point", "paths.py",
+        "yield order, self.unhidden(self.join(x, v, order))",
+        "yield order, head(self.room.found, self.join(x, v, order))",
+        OCCLUDER + "[0.1-paths]",
+    ),
+    Mutation(
+        "paths: numbers of the second vertex again for the third", "path_steps.py",
+        "u, v = samples.numbers[s, 7], samples.numbers[s, 8]", "u, v = samples.numbers[s, 3], samples.numbers[s, 4]",
+        IN_FOG,
+    ),
+    Mutation(
+        "paths: roulette without compensation", "paths.py",
+        "rows_of(y._replace(power=y.power / stays), drawn < stays)", "rows_of(y, drawn < stays)",
+        PHYSICS + "test_all_bounces.py::test_russian_roulette_follows_all_orders_without_bias",
+    ),
+    Mutation(
+        "paths: time rounded up to the next bin", "path_steps.py",
+        "place = math.floor((found.path[k]", "place = math.ceil((found.path[k]",
+        EQUIVALENCE + "test_paths.py::test_light_is_that_of_the_paths",
+    ),
+    # What all ways share.
+    Mutation(
+        "rays: shadow rays end a tenth short", "rays.py",
+        "reach = np.ones(len(origins), np.float32)", "reach = np.full(len(origins), 0.9, np.float32)",
+        OCCLUDER + "[0.1-cuts]",
+    ),
+    Mutation(
+        "rays: surfaces met from behind keep their normal", "rays.py",
+        "sign = -1.0 if approach > 0.0 else 1.0", "sign = 1.0", SPHERE,
+    ),
+    Mutation(
+        "BRDF: GGX without the 2 of its Smith terms", "brdf/ggx.py",
+        "masking = 0.5 / (cos_out", "masking = 0.25 / (cos_out",
+        EQUIVALENCE + "test_materials.py::test_a_brdf_is_what_its_source_prints",
+    ),
+    Mutation(
+        "BRDF: Phong's lobe drawn by another exponent", "brdf/phong.py",
+        "/ (exponent + 1.0)), v)", "/ (exponent + 2.0)), v)",
+        DRAWS,
+    ),
+    Mutation(
+        "BRDF: Oren–Nayar's even share over the whole sphere", "brdf/oren_nayar.py",
+        "return share / (2.0 * math.pi) +", "return share / (4.0 * math.pi) +",
+        DRAWS,
+    ),
+)  # fmt: skip
+
+
+def copied(folder: Path) -> None:
+    """Copy what the tests need, without what was compiled from it."""
+    for name in COPIED:
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(ROOT / name, folder / name)
+
+
+def failed(folder: Path, tests: Sequence[str], limit_s: float) -> str | None:
+    """The line by which pytest names the first test that fails in a folder; empty if all pass, None at the limit."""
+    # Not the suite's own order, which conftest.py makes for several processes: the quickest first.
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "--noconftest", "--tb=no"]
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": str(folder), "COLUMNS": "500"}
+    environment |= {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+    running = subprocess.Popen(
+        [*command, "-p", "no:cacheprovider", *tests], cwd=folder, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+    )  # fmt: skip
+    try:
+        said, _ = running.communicate(timeout=max(limit_s, 0.0))
+    except subprocess.TimeoutExpired:
+        # Tests may have started processes of their own.
+        os.killpg(running.pid, signal.SIGKILL)
+        running.communicate()
+        return None
+    named = [line for line in said.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return "" if running.returncode == 0 else named[0] if named else said.strip().splitlines()[-1]
+
+
+def noticed(line: str | None) -> bool:
+    """Whether a test failed by its own assertion."""
+    return line is not None and line.startswith("FAILED ") and " - assert" in line.lower()
+
+
+def row(name: str, kernel: str, line: str | None, seconds: float) -> str:
+    """A row of the table."""
+    if noticed(line):
+        said = "`" + str(line).removeprefix("FAILED ").partition(" - ")[0].removeprefix("tests/") + "`"
+    else:
+        said = "NOT NOTICED" if not line else f"DOES NOT RUN: {line}"
+    return f"| {name} | {kernel} | {said} | {seconds:.0f} |"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help="only the mutations whose name contains one of these")
+    parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds for each mutation")
+    given = parser.parse_args()
+    chosen = [one for one in MUTATIONS if not given.names or any(name in one.name for name in given.names)]
+    if not chosen:
+        parser.error("no mutation has such a name")
+    print(HEAD, flush=True)
+    everywhere = True
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        copied(folder)
+        begun = time.perf_counter()
+        # Of a few mutations only the tests that are about them need pass before; there is no limit for that.
+        laws = list(dict.fromkeys(one.law for one in chosen))
+        line = failed(folder, laws if given.names else TESTS, 1e6)
+        seconds = time.perf_counter() - begun
+        if line != "":
+            print(f"| none | | FAILS: {line} | {seconds:.0f} |\n\nThe tests fail without any mutation.")
+            return 1
+        print(f"| none | | | {seconds:.0f} |", flush=True)
+        for one in chosen:
+            source = (ROOT / one.path).read_text()
+            (folder / one.path).write_text(one.mutated(source))
+            begun = time.perf_counter()
+            line = failed(folder, [one.law], given.limit)
+            if line == "":
+                line = failed(folder, TESTS, given.limit - (time.perf_counter() - begun))
+            (folder / one.path).write_text(source)
+            print(row(one.name, one.module, line, time.perf_counter() - begun), flush=True)
+            everywhere &= noticed(line)
+    return int(not everywhere)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
