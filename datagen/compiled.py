@@ -22,10 +22,6 @@ from numba.core.dispatcher import Dispatcher
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-FAST = {"reassoc", "contract", "arcp", "nsz"}
-"""What LLVM may do to sums, products and quotients in kernels that add up light: a tenth to a half faster. Infinity
-and NaN keep their meaning."""
-
 
 def digest_of_sources(root: Path) -> str:
     """16 hex digits that another text or name of any Python file of the two packages in `root` changes.
@@ -90,22 +86,29 @@ def _drop_others(folder: str) -> None:
                 path.unlink()
 
 
-def compiled(*, allocates: bool = True, **options: Any) -> Callable[[F], Dispatcher[F]]:
+def compiled(
+    *, allocates: bool = True, inline: str = "never", forceinline: bool = False, nogil: bool = False
+) -> Callable[[F], Dispatcher[F]]:
     """A decorator that compiles a function with `numba.njit`, caches it on disk, and divides by zero as numpy does.
 
     allocates : whether the function makes arrays. For one that does not, numba counts no references to those that it
         is given, which takes half of the time of small functions that are handed records of arrays.
-    options : of `numba.njit`.
+    inline, forceinline, nogil : as those of `numba.njit`.
+
+    `fastmath` is no option: each kernel brings copies of the functions that it calls, and which of them runs hangs on
+    the order in which kernels were compiled. Where sums may be taken in another order, copies round differently, and
+    bytes hang on what ran before (8 % of the time of three bounces).
 
     Without an error model of its own a kernel would take over that of whichever kernel called it first. A wrapper for
     callers in C is left out: nobody calls kernels from there, and it takes a tenth of the time of compiling.
     """
     # numba's type annotations do not know `no_cfunc_wrapper`.
     njit: Any = numba.njit
-    shared = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": allocates}
+    options = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": allocates}
+    options |= {"inline": inline, "forceinline": forceinline, "nogil": nogil}
 
     def decorated(function: F) -> Dispatcher[F]:
-        kernel: Any = njit(**shared | options)(function)
+        kernel: Any = njit(**options)(function)
         # As `cache=True` does, with our names. With NUMBA_DISABLE_JIT the function comes back as it is.
         if isinstance(kernel, Dispatcher):
             kernel._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
-from datagen.compiled import FAST, compiled
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
     """Arrival times, bins, at the three vertices of a triangle whose times have the mean of a, b and c and a variance
     that is larger by `variance`, bins²: those of an element seen from a footprint that is not a point."""
@@ -31,7 +31,7 @@ def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float
     )
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -57,7 +57,7 @@ def tent(
     return a, b, c, low, up, high, down
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def pour(
     histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
 ) -> float:

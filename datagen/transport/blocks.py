@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import FAST, compiled
+from datagen.compiled import compiled
 from datagen.records.arrays import Bools, Floats, Ints, joined, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, cosine_directions, dot, evaluate, pdf, sample
@@ -341,7 +341,7 @@ def _sent_toward(world, ends, x, i, v, side, out):  # type: ignore[no-untyped-de
     return density
 
 
-@compiled(fastmath=FAST)
+@compiled()
 def _sent_by_lambertian(kind, values, part, light):  # type: ignore[no-untyped-def]
     """(n, 2, N) light that Lambertian vertices send on to either side; and (n,) whether a vertex is Lambertian."""
     out, is_lambertian = np.zeros((len(light), 2, light.shape[1]), np.float32), np.zeros(len(light), np.bool_)
@@ -386,7 +386,7 @@ def _guess(x, y, i, j, draws, onward):  # type: ignore[no-untyped-def]
     return light * c / expected if light > 0.0 else 0.0
 
 
-@compiled(fastmath=FAST)
+@compiled()
 def _guesses(x, y, draws, onward, out):  # type: ignore[no-untyped-def]
     """Sets out (n, m) to the guesses of all pairs of sketches, and returns their sum."""
     total = 0.0
@@ -419,7 +419,7 @@ def _chosen(world, x, y, guess, full, u, pairs, origin, span):  # type: ignore[n
     return count
 
 
-@compiled(fastmath=FAST)
+@compiled()
 def _spread(of_x, of_y, time_x, time_y, g, between, stride, light, place, histogram):  # type: ignore[no-untyped-def]
     """Adds the light of_x · of_y · g of every pair of ends to the bin of its arrival.
 

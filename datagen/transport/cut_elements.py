@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import FAST, compiled
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate_at_most
 from datagen.transport.bvh import CLUSTER, Hierarchy
@@ -153,7 +153,7 @@ class Walk(NamedTuple):
         )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def cluster_of(room, pool, p, c, power):  # type: ignore[no-untyped-def]
     """Cluster c of pixel p, lit with some power."""
     row = pool.cluster[p, c]
@@ -165,7 +165,7 @@ def cluster_of(room, pool, p, c, power):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _most(brdf, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
     """A guess of the largest BRDF near two directions, never 0 unless the surface is black."""
     if brdf.kind == LAMBERTIAN:
@@ -174,7 +174,7 @@ def _most(brdf, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
     return f if f > 0.0 else brdf.albedo / math.pi
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def guess(y, n, surface, lit, seen, values, air, plane, turn):  # type: ignore[no-untyped-def]
     """A guess of the light at point y, for each m² and unit of gain, and the distance to the laser point.
 
@@ -202,7 +202,7 @@ def guess(y, n, surface, lit, seen, values, air, plane, turn):  # type: ignore[n
     return f / (square1 * square1 * square3 * square3), r1
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-def]
     """Upper bound of the product of the cosines at x and at a box's surface, on any line between them.
 
@@ -221,7 +221,7 @@ def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-
     return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def light_of_box(tree, at, surface, lit, seen, values, air, plane):  # type: ignore[no-untyped-def]
     """About the most light of box `at`, for each unit of gain: −1 if no point of the cluster or no laser light gets
     there, infinite if it is near or holds few triangles."""
@@ -255,20 +255,20 @@ def light_of_box(tree, at, surface, lit, seen, values, air, plane):  # type: ign
     return area * f * transmittance(air, near1 + near3) / (near1 * near3) ** 2
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def push(tag, top, what, at, c, q, many):  # type: ignore[no-untyped-def]
     """Lets a box or piece and a cluster wait at `top`."""
     tag[top, 0], tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] = what, at, c, q, many
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def _set_corner(piece, top, v, y, n, surface, lit, seen, values, air, plane):  # type: ignore[no-untyped-def]
     """Sets corner v of a piece: its place, the guess of its light, and its distance from the laser point."""
     put(piece, top, 3 * v, y)
     piece[top, 9 + v], piece[top, 12 + v] = guess(y, n, surface, lit, seen, values, air, plane, 0.0)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def open_box(walk, top, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """Lets the halves of the box at `top` wait in its place, or its triangles; returns the new top."""
     tag, tree = walk.tag, room.tree
@@ -286,7 +286,7 @@ def open_box(walk, top, room, surface, lit, seen):  # type: ignore[no-untyped-de
     return top
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def open_cluster(walk, top, n, room, pool, p, power, surface, lit):  # type: ignore[no-untyped-def]
     """Lets the piece at `top`, with normal n, wait with each quarter of its cluster; returns the new top."""
     tag, piece = walk.tag, walk.piece
@@ -304,7 +304,7 @@ def open_cluster(walk, top, n, room, pool, p, power, surface, lit):  # type: ign
     return top
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def halve(walk, top, share, n, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """Lets the two parts of the piece at `top`, with normal n, wait, divided across its longest side; returns the new
     top."""
@@ -322,7 +322,7 @@ def halve(walk, top, share, n, room, surface, lit, seen):  # type: ignore[no-unt
     return top + 2
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
     """Whether all of a triangle lies below the surface at the laser point, or below that of all FoV points, or all of
     them on the other side of the triangle than the laser point.
@@ -341,7 +341,7 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
     return up1 <= plane or up3 <= plane
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.compiled import FAST, compiled
+from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.arrival_times import pour, tent, widened
 from datagen.transport.brdf import Vector, dot
@@ -46,9 +46,6 @@ drawing and the spread of its light."""
 WIDE = 0.3
 """Variance of the arrival times over a cluster, relative to that over an element or a bin, from which on it is
 spread by quarters: of a spread only mean and variance are known."""
-MOST_SAMPLES = 1 << 17
-"""Samples of a part in a histogram from which on only what is near is cut: guesses of lobes may be brighter than all
-light that there is."""
 COARSE = 1e300
 """A δ with which only what is near is cut."""
 UNEVEN = 0.5
@@ -130,20 +127,20 @@ class Batch(NamedTuple):
         )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _random(state):  # type: ignore[no-untyped-def]
     """The next number in 0 … 1 of a stream, whose state is state[0] (Knuth's linear congruential generator)."""
     state[0] = state[0] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
     return (np.float64(state[0] >> np.uint64(33)) + 0.5) * 2.0**-31
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _fraction(u):  # type: ignore[no-untyped-def]
     """The part of u ≥ 0 after the point."""
     return u - math.floor(u)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     """The point of a triangle with some barycentric coordinates."""
     return (
@@ -152,7 +149,7 @@ def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     """A point of a triangle, drawn with a density that is linear between its corners, from (u, v) in the unit
     square."""
@@ -165,7 +162,7 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
     return t if which == 0 else a, t if which == 1 else a if which == 0 else b, t if which == 2 else b
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
     """Mean change of the path by way of y over a flat cluster with the middle z, and its changes along the two sides,
     metres.
@@ -190,7 +187,7 @@ def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: igno
     return mean, one, two
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
     """The number of a part, drawn by its light; u as a new random number; and the sum of the guesses at all corners
     of all parts."""
@@ -208,7 +205,7 @@ def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
     return last, 0.5, total
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
     """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes."""
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
@@ -248,7 +245,7 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
     return Hidden(y, n, density, 0.0 if is_box else light, corners, level, total, bend)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type: ignore[no-untyped-def]
     """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all."""
     q, many, total, chosen = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1
@@ -269,7 +266,7 @@ def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type
     return chosen, total
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
     """Sets the ends (3, 3) of a sample's rays, lifted off their surfaces."""
     side = room.offset if dot(subtract(lit.point, hidden.point), hidden.normal) > 0.0 else -room.offset
@@ -278,7 +275,7 @@ def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
     ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # type: ignore[no-untyped-def]
     """Sets the times (15,) of a sample by way of FoV point z, and their change (2,) over the cluster, bins.
 
@@ -302,7 +299,7 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
     change[0], change[1] = one * per, two * per
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`; returns whether it brings light."""
     hidden = _drawn(walk, top, piece, room, surface, pair.lit, seen, batch.at[used])
@@ -320,14 +317,15 @@ def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expect
     return True
 
 
-@compiled(fastmath=FAST, allocates=False)
-def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
+@compiled(allocates=False)
+def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
     pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
-    part's rows, −1 for parts that are left out. replicate : 0 or 1. walk : goes on where the last batch was full; its
-    pair is n when all is done. expected : (2,) photons as guessed, added up: of all pieces, and of those whose FoV
-    points are far apart for their distance.
+    part's rows, −1 for parts that are left out. most : samples of a part in a pair from which on only what is near is
+    cut. replicate : 0 or 1. walk : goes on where the last batch was full; its pair is n when all is done. expected :
+    (4,) added up: photons as guessed, of all pieces and of those whose FoV points are far apart for their distance;
+    pairs with a part, and those with `most` samples of it.
     """
     used, at, tag, lasers = 0, walk.at, walk.tag, room.lasers
     for pair in range(at[0], len(pairs)):
@@ -350,11 +348,12 @@ def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch)
             surface = Surface(brdf_of(room.kind, room.values, k), room.outer[k], room.peak[k], room.lobe[k])
             if top == 0:
                 at[3] = 0
+                expected[2] += 1.0
                 push(tag, 0, BOX, room.tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
                 top = 1
             while top > 0:
                 top -= 1
-                enough = delta[k] if at[3] < MOST_SAMPLES else COARSE
+                enough = delta[k] if at[3] < most else COARSE
                 seen = cluster_of(room, pool, p, tag[top, 2], ends.power)
                 piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0)
                 if tag[top, 0] == BOX:
@@ -380,6 +379,7 @@ def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch)
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
                 at[3] += 1
+                expected[3] += 1.0 if at[3] == most else 0.0
                 for d in range(3):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
                 if _sample(walk, top, piece, replicate, room, pool, surface, ends, seen, expected, batch, used):
@@ -390,7 +390,7 @@ def emit(pairs, delta, slot, replicate, seed, room, pool, walk, expected, batch)
     return used
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
     """Sets origins and spans (…, 3) of the rays from the hidden points of some samples to the laser point (leg 0) or
     the FoV point (leg 1)."""
@@ -400,7 +400,7 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
             origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
 
 
-@compiled(fastmath=FAST, allocates=False)
+@compiled(allocates=False)
 def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
 

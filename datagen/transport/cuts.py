@@ -65,6 +65,10 @@ RUNS = 2
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
+MOST, FINE, LIMITED = 1 << 15, 0.02, 0.1
+"""Most samples of a part in a histogram, for targets down to `FINE`; more in proportion to 1/target² for less. And
+share of parts in histograms from which on, if so many reach that, cuts do not know the light: what lobes might bring,
+or what is hidden, is taken for far more than all light that there is."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 SAMPLES = 1 << 16
@@ -107,11 +111,10 @@ class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    expected : (2,) photons as guessed, of all runs so far, and of elements whose FoV points are far apart for their
-    distance, of which a few have most of the light.
+    most : samples of a part in a histogram. expected : (4,) of `emit`, of all runs so far.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, target: float) -> None:
         self.problem, scene, axis = problem, problem.scene, problem.capture.time
         tree, self.pairs = Hierarchy.of(scene), pairs_of(problem.capture)
         materials, caster, points = problem.materials, problem.caster, problem.points
@@ -130,9 +133,15 @@ class Cuts:
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
-        self.expected = np.zeros(2)
+        self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(4)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
+
+    @property
+    def knows_little(self) -> bool:
+        """Whether a few of very many elements have the light."""
+        light, near, of, limited = self.expected
+        return bool(near > NEAR * light or limited > LIMITED * of)
 
     def least(self, whole: float) -> float:
         """L2 norm of the light of the faintest object that has an error of its own, photons, if that of all light is
@@ -190,7 +199,9 @@ class Cuts:
         slot[active] = np.arange(len(active))
         walk = Walk.of()
         while walk.at[0] < len(pairs):
-            used = emit(pairs, delta, slot, replicate, seed, self.room, pool, walk, self.expected, self.batch)
+            used = emit(
+                pairs, delta, slot, self.most, replicate, seed, self.room, pool, walk, self.expected, self.batch
+            )  # fmt: skip
             visible = self.every[:used]
             samples += used
             for leg in range(2):
@@ -289,14 +300,15 @@ class _Known(NamedTuple):
 
 def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
     """The primary with about the relative L2 error `target` of the whole, and that asked of each object; None if much
-    of it goes between surfaces that are nearer than FoV points are to one another, of which a few have it all.
+    of it goes between surfaces that are nearer than FoV points are to one another, of which a few have it all, or if
+    it is much less than guesses say.
 
     A pilot of some pairs tells how large errors are; all pairs are then run, and once more if that falls short.
     """
-    cuts = Cuts(problem)
+    cuts = Cuts(problem, target)
     every = np.arange(len(cuts.pairs))
     known, delta = _pilot(cuts, target)
-    if cuts.expected[1] > NEAR * cuts.expected[0]:
+    if cuts.knows_little:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often.
     each = np.square(known.light.sum(axis=0)).sum(axis=1)
@@ -338,7 +350,7 @@ def _pilot(cuts: Cuts, target: float) -> tuple[_Known, Floats]:
         wanted = _precision(cuts, known, SCATTER + SHARED, target)
         finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
         again = CLOSE * finer < delta
-        if turn == PILOTS - 1 or not again.any():
+        if turn == PILOTS - 1 or not again.any() or cuts.knows_little:
             break
         delta = np.where(again, np.maximum(finer, delta / STEP), delta)
     return known, delta

@@ -30,7 +30,7 @@ WIDTHS = np.array([1, 3, 5, 9, 17])
 WINDOW, WINDOW_BINS = 600, (12, 64)
 """Values whose boxes have one width: histograms of a group times bins; and fewest and most of these bins."""
 GROWTH = 64
-"""Most blocks of a run, in units of those before it: bounds the time of a scene whose light is not found."""
+"""Most blocks of a run, in units of those of the pilot: bounds the time of a scene whose light is not found."""
 AIM = 0.8
 """Squared error that a run aims at, relative to the one asked: boxes become narrower as noise falls, so errors fall
 more slowly than with 1/√n."""
@@ -166,7 +166,7 @@ def _effort(units: list[_Unit], target: float, known: Floats, known_error: float
     for unit in units:
         worth = unit.counted * math.sqrt(max(unit.error2, least) / unit.spent) if unit.spent > 0 else 0.0
         per_error2 = max(sum(price.values()) / (AIM * left**2), price[unit.name] / (AIM * own[unit.name]))
-        more.append(int(min(max(math.ceil(worth * per_error2) - unit.counted, 0), GROWTH * unit.counted)))
+        more.append(int(min(max(math.ceil(worth * per_error2) - unit.counted, 0), GROWTH * unit.source.first)))
     return more
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from datagen.compiled import FAST, compiled
+from datagen.compiled import compiled
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate
 from datagen.transport.geometry import subtract, transmittance
 
@@ -38,19 +38,19 @@ class End(NamedTuple):
     brdf: Brdf
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def brdf_of(kind, values, k):  # type: ignore[no-untyped-def]
     """The BRDF in row k of a table of materials."""
     return Brdf(kind[k], values[k, 0], k)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def value_of(brdf, values, n, a, b):  # type: ignore[no-untyped-def]
     """The value of a BRDF for two directions above the surface, 1/sr. values : the table of materials."""
     return brdf.albedo / math.pi if brdf.kind == LAMBERTIAN else evaluate(brdf.kind, values[brdf.row], n, a, b)
 
 
-@compiled(forceinline=True, fastmath=FAST, allocates=False)
+@compiled(forceinline=True, allocates=False)
 def weight(y, n, brdf, lit, seen, values, footprint, attenuation):  # type: ignore[no-untyped-def]
     """Weight w(y) without the laser's power and the sensor's factor W, 1/(m⁴ sr³); and distances R₁ and R₂, metres.
 

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numba import njit
 
 from datagen.compiled import compiled
@@ -141,3 +142,28 @@ def test_an_edit_while_a_process_runs_is_not_stored_as_what_was_there_before(tmp
     small_package(tmp_path)
     assert answers(started(tmp_path, IMPORTS_AN_EDIT)) == [["41"]]
     assert answers(started(tmp_path))[0][0] == "21"
+
+
+DIGESTS = """
+import hashlib, sys
+import datagen as dg
+config = dg.load_config(sys.argv[1])
+scene = dg.scene_for(config, 0)
+capture = dg.capture_for(config, scene, config.seed, 0)
+ways = {"paths": dg.Accuracy(samples=16), "target": dg.Accuracy(target=0.1, max_bounces=5)}
+for name in sys.argv[2:]:
+    light = dg.simulate(scene, capture, ways[name], 3)
+    values = [light.total, light.stderr, light.overflow]
+    print(name, repr(light.relative_error), hashlib.sha256(b"".join(of.tobytes() for of in values)).hexdigest())
+"""
+
+
+@pytest.mark.nightly
+def test_light_does_not_hang_on_the_order_in_which_kernels_were_compiled(tmp_path: Path) -> None:
+    """Nor on whether they were compiled or read from the cache."""
+    said = list[list[str]]()
+    for cache, order in (("one", "paths target"), ("two", "target paths"), ("two", "target paths")):
+        command = [sys.executable, "-c", DIGESTS, str(ROOT / "configs" / "quickstart.yaml"), *order.split()]
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / cache)}
+        said.append(sorted(subprocess.check_output(command, env=environment, cwd=ROOT, text=True).splitlines()))
+    assert said[0] == said[1] == said[2]

@@ -165,7 +165,7 @@ def test_efforts_meet_the_targets_of_the_whole_and_of_objects() -> None:
     """The groups' squared errors a²/W add up to what is asked of the whole, with equal W but for objects that need
     more by themselves."""
     scene, capture = CASES["a ball behind bars"]
-    cuts = Cuts(Problem.of(scene, capture, Accuracy(target=0.1, part_target=0.2), 0, split_parts=True))
+    cuts = Cuts(Problem.of(scene, capture, Accuracy(target=0.1, part_target=0.2), 0, split_parts=True), 0.1)
     light = np.zeros((len(scene.part_names), 1, 4))
     light[:, 0, 0] = 0.0, 0.05, 1.0, 2.0
     squares, whole = np.array([1e-6, 3e-4, 5e-4, 0.0]), light.sum()
