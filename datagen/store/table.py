@@ -72,17 +72,18 @@ class Rows:
     def __iter__(self) -> Iterator[pa.RecordBatch]:
         scenes = ((record.shard, scene) for record in self.records() for scene in record.scenes)
         rows = zip(scenes, self.splits, strict=True)
-        while some := [*itertools.islice(rows, BATCH)]:
-            shards, scenes_here = zip(*(row for row, _ in some), strict=True)
-            yield self._batch(shards, scenes_here, [split for _, split in some])
+        while (batch := self._next(rows)) is not None:
+            yield batch
 
-    def _batch(
-        self, shards: Sequence[int], scenes: Sequence[SceneRecord], splits: Sequence[str | None]
-    ) -> pa.RecordBatch:
-        """Some rows, from the scenes, their shards and their splits."""
+    def _next(self, rows: Iterator[tuple[tuple[int, SceneRecord], str | None]]) -> pa.RecordBatch | None:
+        """The next batch, or None. Its records are gone when it is returned."""
+        some = [*itertools.islice(rows, BATCH)]
+        if not some:
+            return None
+        scenes, splits = [scene for (_, scene), _ in some], [split for _, split in some]
         columns: dict[str, pa.Array] = {
             "scene": pa.array([scene.index for scene in scenes], pa.int64()),
-            "shard": pa.array(shards, pa.int32()),
+            "shard": pa.array([shard for (shard, _), _ in some], pa.int32()),
             "failure": pa.array([scene.failure for scene in scenes], pa.string()),
             "split": pa.array(splits, pa.string()),
         }
