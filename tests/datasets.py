@@ -8,7 +8,7 @@ from pathlib import Path
 from datagen.config import DatasetConfig
 from datagen.pipeline import simulate_sample
 from datagen.records import Sample
-from datagen.store import committed, finish, prepare, write_shard
+from datagen.store import finish, prepare, write_shard
 
 
 def write_dataset(
@@ -19,5 +19,5 @@ def write_dataset(
     for shard in range(manifest.schema.shards):
         samples = ((index, sample(config, index)) for index in manifest.schema.scenes_of(shard))
         write_shard(root, manifest.schema, shard, manifest.fingerprint, samples)
-    finish(root, manifest, committed(root, manifest))
+    finish(root, manifest)
     return root

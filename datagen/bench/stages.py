@@ -22,6 +22,8 @@ from datagen.config.scans import GridScan
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
 from datagen.store import ShardRecord, committed, prepare, read_manifest, schema_of, write_shard
+from datagen.store.columns import Columns
+from datagen.store.description import seconds_of
 from datagen.store.info import STAGES, seconds_by_stage
 
 LEAST_SHARDS = 4
@@ -126,7 +128,7 @@ def main(config: str, scenes: int, workers: str, scan: str | None, million: bool
     rows = []
     for count in counts:
         records = records_of_build(loaded, count, scenes)
-        medians = seconds_by_stage(records)
+        medians = seconds_by_stage(Columns(seconds for record in records for seconds in seconds_of(record)))
         stages = [stage for stage in STAGES if stage in medians]
         taken = [medians[stage] for stage in stages]
         rate = scenes_per_second(records, count)

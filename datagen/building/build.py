@@ -7,15 +7,15 @@ and any number of interruptions.
 
 from __future__ import annotations
 
-import math
 import os
-import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import wait
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
@@ -138,10 +138,13 @@ def build(
         wanted = parse_shards(shards, plan.schema.shards)
         # The bytes of shards that are not wanted stay as they are, so nothing is gained by reading them.
         asked = {*wanted}
-        found = store.committed(root, plan)
-        there = [record for record in found if record.shard not in asked or record.problem(root) is None]
-        if not accept_mixed:
-            _check_unmixed(root, there)
+        there = dict[int, list[int]]()
+        for record in store.each_committed(root, plan):
+            if record.shard in asked and record.problem(root) is not None:
+                continue
+            if not accept_mixed:
+                _check_unmixed(root, record)
+            there[record.shard] = sorted(record.failures)
         if sample_function is None:
             from datagen.building.input_check import check_inputs
             from datagen.pipeline import simulate_sample
@@ -158,21 +161,19 @@ def build(
                 made_by = None if accept_mixed else made_with()
                 recipe = Recipe(root.resolve(), config, manifest, sample_function, made_by, scene_seconds)
                 kept = Jobs(recipe, output, running, shown).run(wanted, there)
-            records = store.committed(root, manifest)
-            complete = len(records) == manifest.schema.shards
-            (store.finish if complete else store.write_card)(root, manifest, records)
-            output.finish(records, complete)
+            dataset = store.finish(root, manifest)
+            output.finish(store.each_committed(root, manifest), dataset.is_whole)
         except OSError as error:
             reason = error.strerror or error
             raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
-    _check_no_failures(records, manifest.schema.scenes)
-    noisy = _noise_line(config, records)
+    _check_no_failures(dataset)
+    noisy = _noise_line(config, dataset)
     if noisy:
         shown.say(noisy)
     return BuildResult(
         path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
-        kept=kept, complete=complete, seconds=time.monotonic() - began, noisy=noisy,
-        placed_anew=" ".join(placed_anew_lines(scene.parameters for record in records for scene in record.scenes)),
+        kept=kept, complete=dataset.is_whole, seconds=time.monotonic() - began, noisy=noisy,
+        placed_anew=" ".join(placed_anew_lines(dataset.parameters)),
     )  # fmt: skip
 
 
@@ -188,21 +189,20 @@ def _compile(engine: Engine, workers: int, sample: SampleFunction, config: Datas
         shown.doing(f"compiling, {once}")
 
 
-def _check_no_failures(records: Iterable[store.ShardRecord], scenes: int) -> None:
-    failures = {scene: why for record in records for scene, why in record.failures.items()}
-    if failures:
-        scene, why = min(failures.items())
+def _check_no_failures(dataset: store.Description) -> None:
+    if dataset.failures:
+        scene, why = min(dataset.failures.items())
         raise CheckError(
-            f"{len(failures)} of {scenes} scenes could not be made, the first is scene {scene}: {why}; "
-            "all others are stored, and building again tries these anew"
+            f"{len(dataset.failures)} of {dataset.manifest.schema.scenes} scenes could not be made, the first is "
+            f"scene {scene}: {why}; all others are stored, and building again tries these anew"
         )
 
 
-def _noise_line(config: DatasetConfig, records: Iterable[store.ShardRecord]) -> str:
+def _noise_line(config: DatasetConfig, dataset: store.Description) -> str:
     """A warning if the median error of the transients exceeds `NOISY`; "" if it does not, or is unknown."""
-    stated = [scene.parameters.get("transient.relative_error") for record in records for scene in record.scenes]
-    errors = [float(error) for error in stated if isinstance(error, int | float) and math.isfinite(error)]
-    if not errors or (median := statistics.median(errors)) <= NOISY:
+    stated = dataset.parameters.get("transient.relative_error")
+    errors = np.empty(0) if stated is None or stated.is_text else stated.numbers[np.isfinite(stated.numbers)]
+    if not len(errors) or (median := np.median(errors)) <= NOISY:
         return ""
     accuracy = config.transport.accuracy()
     if accuracy.samples is not None:
@@ -250,15 +250,14 @@ def _check_arguments(config: object, path: object, scene_seconds: float | None, 
         raise InputError(f"--scene-seconds {scene_seconds:g}: only local workers have such a limit; leave it out")
 
 
-def _check_unmixed(root: Path, records: Iterable[store.ShardRecord]) -> None:
-    """Refuse to resume if shards were made with versions, or on an architecture, that may give other bytes."""
-    for record in records:
-        for difference in mixed([record.made_by, made_with()]):
-            raise InputError(
-                f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
-                "promised for the same versions (constraints.txt) on the same kind of processor: use those, "
-                "name another folder, or accept it with --accept-mixed"
-            )
+def _check_unmixed(root: Path, record: store.ShardRecord) -> None:
+    """Refuse to resume if a shard was made with versions, or on an architecture, that may give other bytes."""
+    for difference in mixed([record.made_by, made_with()]):
+        raise InputError(
+            f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
+            "promised for the same versions (constraints.txt) on the same kind of processor: use those, "
+            "name another folder, or accept it with --accept-mixed"
+        )
 
 
 def parse_shards(text: str | None, shards: int) -> list[int]:

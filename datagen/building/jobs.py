@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from typing import Any
@@ -61,7 +61,7 @@ class Jobs:
     waiting: deque[Task] = field(default_factory=deque)
     running: dict[Future[Any], Task] = field(default_factory=dict)
     started: dict[int, float] = field(default_factory=dict)
-    retried: dict[int, list[int]] = field(default_factory=dict)
+    retried: dict[int, Sequence[int]] = field(default_factory=dict)
     known: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
     finished: int = 0
     made: int = 0
@@ -69,10 +69,13 @@ class Jobs:
     deaths: Counter[int] = field(default_factory=Counter)
     deaths_between: int = 0
 
-    def run(self, wanted: Sequence[int], there: Sequence[store.ShardRecord]) -> int:
-        """Make the wanted shards; returns how many of them were there before with all scenes."""
+    def run(self, wanted: Sequence[int], there: Mapping[int, Sequence[int]]) -> int:
+        """Make the wanted shards; returns how many of them were there before with all scenes.
+
+        there : shard that is committed → its scenes that failed.
+        """
         root, size = self.recipe.root, self._size
-        whole = {record.shard for record in there if not record.failures}
+        whole = {shard for shard, failed in there.items() if not failed}
         for shard in whole:
             store.running_path(root, shard).unlink(missing_ok=True)
         self.waiting.extend(Task(shard) for shard in wanted if shard not in whole)
@@ -80,12 +83,13 @@ class Jobs:
         if not self.waiting:
             return kept
         store.forget_complete(root)
-        store.write_card(root, self.recipe.manifest, there)
+        manifest = self.recipe.manifest
+        store.write_card(root, store.Description(manifest, store.each_committed(root, manifest, there)))
         self.finished = sum(size(shard) for shard in wanted if shard in whole)
         self.progress.begin(sum(map(size, wanted)), self.finished)
         if kept:
             self.progress.say(f"{kept} of {len(wanted)} shards are there already")
-        self.retried = {record.shard: sorted(record.failures) for record in there if record.failures}
+        self.retried = {shard: failed for shard, failed in there.items() if failed}
         try:
             while self.waiting or self.running:
                 while self.waiting and len(self.running) < self.engine.capacity:

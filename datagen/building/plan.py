@@ -20,6 +20,7 @@ from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
 from datagen.records import Sample, Scalar
 from datagen.store import prepare, schema_of, write_shard
+from datagen.store.columns import Columns
 from datagen.store.environment import cores
 from datagen.store.files import finite
 from datagen.store.summaries import KindEvidence, evidence_by_kind
@@ -171,7 +172,7 @@ def planned(config: DatasetConfig, pilots: Pilots, workers: int, machine_cores: 
         scene_s=scene_s,
         scene_bytes=scene_bytes,
         error=_range([error for error in errors if math.isfinite(error)]),
-        evidence=tuple(evidence_by_kind(pilots.parameters)),
+        evidence=tuple(evidence_by_kind(Columns(pilots.parameters))),
         workers=workers,
         build_s=max(1.0, working / machine_cores) * math.ceil(config.scenes / working) * scene_s[1],
         build_bytes=config.scenes * scene_bytes,

@@ -14,10 +14,11 @@ from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.store import schema_of
 from datagen.store.card import readable
+from datagen.store.columns import Columns
 from datagen.store.environment import cores, made_with
 from datagen.store.files import json_bytes, write_atomically
 from datagen.store.info import effect_lines
-from datagen.store.summaries import evidence_lines
+from datagen.store.summaries import effects_of, evidence_lines
 
 
 def plan(
@@ -94,7 +95,9 @@ def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
     yield f"  counts     drawn by the sampler {', '.join(f'{name} ({n})' for name, n in samplers.items())}"
     for number, line in enumerate(evidence_lines(found.evidence)):
         yield f"  {'' if number else 'evidence':11}{line}"
-    yield from (f"  {line}" for line in effect_lines(found.pilots.parameters))
+    parameters = found.pilots.parameters
+    effects = effect_lines(Columns(parameters), Columns(map(effects_of, parameters)))
+    yield from (f"  {line}" for line in effects)
 
 
 def _whole_build(found: Plan) -> Iterator[str]:

@@ -12,6 +12,7 @@ from datagen.pipeline import simulate_sample
 from datagen.store import Schema, committed, read_manifest
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Location, location_of
+from datagen.store.scenes import Scenes
 from datagen.store.shard import digest, encoded
 
 
@@ -38,20 +39,16 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
             "scenes of the same seed; use the version that made it"
         )
     config = manifest.parsed_config()
-    made = {
-        scene.index: (scene, record)
-        for record in committed(root, manifest)
-        for scene in record.scenes
-        if scene.failure is None
-    }
+    made = Scenes(root).made()
     if not made:
         raise CheckError(f"{root}: no scene is there to be simulated again; build it first")
-    chosen = sorted(random.SystemRandom().sample(sorted(made), min(scenes, len(made))))
+    chosen = sorted(random.SystemRandom().sample(made, min(scenes, len(made))))
     problems = []
     # In a worker with one thread, as in a build: several threads could add numbers up in another order.
     with started("local", 1, None) as running:
         for index in chosen:
-            scene, record = made[index]
+            record = committed(root, manifest, [index // manifest.schema.scenes_per_shard])[0]
+            scene = next(scene for scene in record.scenes if scene.index == index)
             now = running.submit(_digests, config, manifest.schema, index).result()
             fields = [name for name, due in scene.digests.items() if now[name] != due]
             if fields:

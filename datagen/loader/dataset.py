@@ -27,7 +27,7 @@ from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records import TimeAxis
 from datagen.records.arrays import Ints
 from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
-from datagen.store import DatasetReader, Manifest, committed, read_manifest
+from datagen.store import DatasetReader, Manifest, each_committed, read_manifest
 from datagen.store.location import Bucket, location_of
 from datagen.store.reader import Part
 from datagen.store.record import recorded_shards
@@ -336,8 +336,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if len(there) == self._schema.shards and (self.path / TABLE).is_file():
             failure = read_table(self.path, ["failure"], self._schema.scenes)["failure"]
             return there, set(np.flatnonzero(failure.is_valid().to_numpy()).tolist())
-        records = committed(self.path, manifest)
-        return {record.shard for record in records}, {scene for record in records for scene in record.failures}
+        found = {record.shard: record.failures for record in each_committed(self.path, manifest)}
+        return {*found}, {scene for failures in found.values() for scene in failures}
 
     def _dtype_of_counts(self, counts: object) -> np.dtype[Any] | None:
         """The dtype that `counts` names; None for "stored"."""

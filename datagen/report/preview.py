@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from html import escape
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from warnings import warn
@@ -17,11 +18,10 @@ from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
-from datagen.store import Manifest, committed, read_manifest
-from datagen.store.description import Description
+from datagen.store import Description, each_committed, read_manifest
 from datagen.store.files import check_writable
-from datagen.store.info import info
-from datagen.store.record import SceneRecord, ShardRecord, scenes_made
+from datagen.store.info import info_of
+from datagen.store.record import SceneRecord, scenes_made
 
 ROOMS = 24
 """Rooms in the gallery."""
@@ -48,13 +48,13 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
         raise InputError(f"--scenes {scenes}: must lie in 0 … {MOST_SCENES}")
     root = Path(dataset)
     manifest = read_manifest(root)
-    records = committed(root, manifest)
-    if not scenes_made(records):
+    described = Description(manifest, each_committed(root, manifest))
+    if not described.made:
         raise InputError(f"{dataset}: no scene is there yet; run `datagen build` again, then preview it")
     out = root.resolve().with_name(root.resolve().name + ".html") if out_html is None else Path(out_html)
     check_writable(out.parent, " with --out")
     with house_style():
-        text = "\n".join(_page(root, manifest, records, scenes))
+        text = "\n".join(_page(root, described, scenes))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text, encoding="utf-8")
@@ -63,8 +63,9 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
     return out
 
 
-def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes: int) -> Iterator[str]:
-    made = scenes_made(records)
+def _page(root: Path, dataset: Description, scenes: int) -> Iterator[str]:
+    manifest = dataset.manifest
+    made = [*islice(scenes_made(each_committed(root, manifest)), max(ROOMS, scenes))]
     config, missing = config_of(manifest)
     if missing:
         warn(f"{missing}; only what is stored is shown", InputWarning, stacklevel=3)
@@ -86,14 +87,13 @@ def _page(root: Path, manifest: Manifest, records: Sequence[ShardRecord], scenes
     yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
     yield "<h2>Scenes in full</h2>"
     yield from pictures
-    figure = parameter_page(varying([scene.parameters for scene in made]))
-    yield f"<h2>What was drawn</h2><p>Over {len(made)} scenes; parameters that do not vary are left out.</p>"
+    figure = parameter_page(varying(dataset.parameters))
+    yield f"<h2>What was drawn</h2><p>Over {dataset.made} scenes; parameters that do not vary are left out.</p>"
     if figure is not None:
         yield inside(figure, "histograms of the drawn parameters")
-    dataset = Description(manifest, records)
     drawn = [row for row in dataset.ranges() if not row[0].endswith("seed")]
     yield table(("parameter", "least", "median", "most"), drawn)
-    yield f"<h2>The dataset</h2><pre>{escape(info(root))}</pre>"
+    yield f"<h2>The dataset</h2><pre>{escape(info_of(root, dataset))}</pre>"
     yield "<h2>Fields</h2>"
     rows = [
         (field.name, ", ".join(field.dims), " × ".join(shape), field.dtype, field.unit, field.meaning)

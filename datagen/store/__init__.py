@@ -1,6 +1,7 @@
 """The dataset on disk: `dataset.json`, cards, table, commit records and the Zarr group."""
 
 from datagen.store.card import write_card
+from datagen.store.description import Description
 from datagen.store.files import check_writable
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.prepare import build_folders, forget_complete, planned, prepare
@@ -8,10 +9,10 @@ from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, running_path
 from datagen.store.schema import Field, Schema, schema_of
 from datagen.store.shard import discard_shard, write_shard
-from datagen.store.verify import Verification, committed, finish, verify
+from datagen.store.verify import Verification, committed, each_committed, finish, verify
 
 __all__ = [
-    "DatasetReader", "Field", "Manifest", "Schema", "ShardRecord", "Verification", "build_folders", "check_writable",
-    "committed", "discard_shard", "finish", "forget_complete", "planned", "prepare", "read_manifest", "running_path",
-    "schema_of", "verify", "write_card", "write_shard",
+    "DatasetReader", "Description", "Field", "Manifest", "Schema", "ShardRecord", "Verification", "build_folders",
+    "check_writable", "committed", "discard_shard", "each_committed", "finish", "forget_complete", "planned",
+    "prepare", "read_manifest", "running_path", "schema_of", "verify", "write_card", "write_shard",
 ]  # fmt: skip

@@ -14,7 +14,6 @@ from datagen.store.description import Description
 from datagen.store.environment import LIBRARIES
 from datagen.store.files import write_if_changed
 from datagen.store.manifest import Manifest
-from datagen.store.record import ShardRecord
 from datagen.store.table import TABLE
 
 CARD = "README.md"
@@ -24,14 +23,14 @@ _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000
 _TAGS = ["non-line-of-sight", "single-photon", "transient-imaging"]
 
 
-def write_card(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
+def write_card(root: Path, dataset: Description) -> None:
     """Write the card. The card of an incomplete dataset says how many shards are there."""
-    write_if_changed(root / CARD, card(manifest, records).encode())
+    write_if_changed(root / CARD, card(dataset).encode())
 
 
-def card(manifest: Manifest, records: Sequence[ShardRecord]) -> str:
+def card(dataset: Description) -> str:
     """The text of the card. It depends on the manifest and the commit records alone, and has no date or duration."""
-    config, dataset = manifest.config, Description(manifest, records)
+    manifest, config = dataset.manifest, dataset.manifest.config
     names = ", ".join(f'"{field.name}"' for field in dataset.shapes if field.sharded)
     fields = [
         (f"`{field.name}`", ", ".join(field.dims), ", ".join(shape), field.dtype, field.unit, field.meaning)
@@ -120,7 +119,7 @@ def _state(dataset: Description) -> list[str]:
             f"Complete: {dataset.scenes} scenes in {schema.shards} shards, {stored} on disk ({decoded} decoded)."
         ]
     else:
-        there = f"{len(dataset.records)} of {schema.shards} shards are there"
+        there = f"{dataset.shards} of {schema.shards} shards are there"
         paragraphs += [f"**Incomplete**: {there}; run the same `datagen build` again to go on."]
     if failures:
         more = [f"and {failures - _MOST_LINES} more, see `{TABLE}`"] if failures > _MOST_LINES else []

@@ -8,7 +8,6 @@ from __future__ import annotations
 import datetime
 import re
 import unicodedata
-from collections.abc import Sequence
 from typing import Any
 
 from datagen.store.arrays import GROUP
@@ -16,7 +15,6 @@ from datagen.store.description import Description
 from datagen.store.files import sha256_of
 from datagen.store.location import Location
 from datagen.store.manifest import Manifest
-from datagen.store.record import ShardRecord
 from datagen.store.schema import FORMAT, Field
 from datagen.store.table import COLUMNS, TABLE, parquet_file
 
@@ -59,14 +57,15 @@ _IMPORTED = _RESPONSIBLE | {
 }
 
 
-def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> dict[str, Any]:
+def croissant(root: Location, dataset: Description) -> dict[str, Any]:
     """The content of `croissant.json`: the files, a record for each scene, and a record for each array.
 
     The version of the dataset is (format).(scenes).0, because a dataset that grows stays compatible. Its date
     is that of its last shard.
     """
+    manifest = dataset.manifest
     config, fields = manifest.config, manifest.schema.fields
-    made = datetime.datetime.fromtimestamp(max(record.finished for record in records), datetime.UTC)
+    made = datetime.datetime.fromtimestamp(max(finished for _, finished in dataset.times), datetime.UTC)
     terms = config["license"] or NO_LICENSE
     what = "Imported" if manifest.imported else "Simulated"
     name = config["name"]
@@ -86,7 +85,7 @@ def croissant(root: Location, manifest: Manifest, records: Sequence[ShardRecord]
         # A configuration has an address or a name of the SPDX list.
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),
-        "rai:dataCollection": Description(manifest, records).origin,
+        "rai:dataCollection": dataset.origin,
         **(_IMPORTED if manifest.imported else _RESPONSIBLE),
         "distribution": [_table_file(root), *map(_shards, fields)],
         "recordSet": [_scenes(root), _arrays(manifest)],

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -36,11 +36,18 @@ T = TypeVar("T")
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a new file beside `path`, sync and rename it: readers see old or new content, even after a crash."""
+    """Write a file: readers see old or new content, even after a crash."""
+    with replacing(path) as file:
+        file.write(content)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A new file beside `path`, which is synced and takes its place at the end of the block."""
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
         with _new_locked(partial) as file:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
             partial.replace(path)

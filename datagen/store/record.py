@@ -6,7 +6,7 @@ checksum of its own; a record that does not match it is not used.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -160,6 +160,6 @@ def sound_records(root: Location, shards: Iterable[int] | None = None) -> Iterat
             yield record
 
 
-def scenes_made(records: Sequence[ShardRecord]) -> list[SceneRecord]:
-    """The scenes of the shards that could be made."""
-    return [scene for record in records for scene in record.scenes if scene.failure is None]
+def scenes_made(records: Iterable[ShardRecord]) -> Iterator[SceneRecord]:
+    """The scenes of the shards that could be made, one after the other."""
+    return (scene for record in records for scene in record.scenes if scene.failure is None)

@@ -14,7 +14,7 @@ from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import read_record, scenes_made
-from datagen.store.verify import committed
+from datagen.store.verify import each_committed
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Scenes:
 
     def made(self) -> list[int]:
         """The indices of the scenes of committed shards that could be made, ascending."""
-        return sorted(scene.index for scene in scenes_made(committed(self.root, self.manifest)))
+        return [scene.index for scene in scenes_made(each_committed(self.root, self.manifest))]
 
     def read(self, index: int, called: str = "scene") -> SceneContent:
         """The scene of an index. Raises `InputError`, which calls it `called`, if it is not there or was not made."""

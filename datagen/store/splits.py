@@ -3,7 +3,8 @@ draw of train, val and test."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -23,23 +24,47 @@ _BLOCK = 10
 splits, too."""
 
 
-def splits_of(scenes: Sequence[Parameters | None], splits: SplitsConfig) -> list[str | None]:
-    """The split of every scene, from its parameters; None for a scene without parameters, which could not be made.
+def splits_of(scenes: Iterable[Parameters | None], splits: SplitsConfig) -> list[str | None]:
+    """The split of every scene, from its parameters; None for a scene without parameters, which could not be made."""
+    dealing = Dealing(splits)
+    for parameters in scenes:
+        dealing.add(parameters)
+    return dealing.splits()
+
+
+class Dealing:
+    """Deals scenes, one after the other, to the splits.
 
     The random draw of a room depends only on the index of the first scene that shows it. So no room is in two splits,
     and a room keeps its split when the dataset grows.
     """
-    first: dict[tuple[tuple[str, Scalar], ...], int] = {}
-    rooms = [first.setdefault(_room(scene), index) if scene else index for index, scene in enumerate(scenes)]
-    share = _shares(len(scenes))[rooms]
-    ends = np.cumsum(splits.shares)[:-1] - 1e-9
-    dealt = np.searchsorted(ends, share, side="right")
-    return [
-        None
-        if scene is None
-        else next((rule.name for rule in splits.held_out if _shows(scene, rule)), BY_SHARE[number])
-        for scene, number in zip(scenes, dealt, strict=True)
-    ]
+
+    def __init__(self, splits: SplitsConfig) -> None:
+        self._splits = splits
+        # Hashes in place of the rooms, which take kilobytes each: of a million rooms, two have the same hash, and
+        # then the same draw, once in 30 million datasets.
+        self._rooms = array("q")
+        self._held_out = list[str | None]()
+
+    def add(self, parameters: Parameters | None) -> None:
+        """Take in the next scene; None if it could not be made."""
+        index = len(self._rooms)
+        self._rooms.append(hash(_room(parameters) if parameters else index))
+        if parameters is None:
+            self._held_out.append(None)
+        else:
+            self._held_out.append(next((rule.name for rule in self._splits.held_out if _shows(parameters, rule)), ""))
+
+    def splits(self) -> list[str | None]:
+        """The split of every scene; None where it could not be made."""
+        _, first, room = np.unique(np.array(self._rooms), return_index=True, return_inverse=True)
+        share = _shares(len(self._rooms))[first[room]]
+        ends = np.cumsum(self._splits.shares)[:-1] - 1e-9
+        dealt = np.searchsorted(ends, share, side="right").tolist()
+        return [
+            None if shown is None else shown or BY_SHARE[number]
+            for shown, number in zip(self._held_out, dealt, strict=True)
+        ]
 
 
 def _room(parameters: Parameters) -> tuple[tuple[str, Scalar], ...]:

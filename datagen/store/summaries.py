@@ -4,14 +4,15 @@ by kind, how often objects were placed again, and where label images lie relativ
 from __future__ import annotations
 
 import re
-import statistics
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from datagen.records import Scalar
 from datagen.records.arrays import Floats
 from datagen.records.sample import SCAN_PLACE
+from datagen.store.columns import Columns
 
 LEAST = 3.0
 """Significance, in standard deviations, below which a label cannot be learnt from the data: one empty room in 700
@@ -25,9 +26,6 @@ OVER_M = 0.01
 cover 2 m."""
 SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 """Name of the parameter that has the significance of an object's own light."""
-
-Parameters = Iterable[Mapping[str, object]]
-"""The parameters of several scenes, as `samples.parquet` has them."""
 
 
 @dataclass(frozen=True)
@@ -50,19 +48,18 @@ class KindEvidence:
     exposure_factor: float
 
 
-def evidence_by_kind(scenes: Parameters, as_one: str | None = None) -> list[KindEvidence]:
+def evidence_by_kind(parameters: Columns, as_one: str | None = None) -> list[KindEvidence]:
     """The evidence of each kind of object, in alphabetical order; empty if no evidence is stored.
 
     as_one : name under which all kinds are counted as one.
     """
-    kinds: dict[str, list[float]] = {}
-    for parameters in scenes:
-        for name, value in parameters.items():
-            match = SIGNIFICANCE.fullmatch(name)
-            if match and isinstance(value, int | float):
-                # The kind is the name of the part without its number (box_2: box).
-                kinds.setdefault(as_one or re.sub(r"_\d+$", "", match[1]), []).append(float(value))
-    return [_evidence(kind, np.array(sigma)) for kind, sigma in sorted(kinds.items())]
+    kinds: dict[str, list[Floats]] = {}
+    for name, column in parameters.items():
+        match = SIGNIFICANCE.fullmatch(name)
+        if match and not column.is_text:
+            # The kind is the name of the part without its number (box_2: box).
+            kinds.setdefault(as_one or re.sub(r"_\d+$", "", match[1]), []).append(column.numbers)
+    return [_evidence(kind, np.concatenate(sigma)) for kind, sigma in sorted(kinds.items())]
 
 
 def _evidence(kind: str, sigma: Floats) -> KindEvidence:
@@ -84,31 +81,36 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
     return lines
 
 
-def placed_anew_lines(scenes: Parameters) -> list[str]:
+def effects_of(parameters: Mapping[str, Scalar]) -> dict[str, Scalar]:
+    """The parameters of a scene about the effects that it has at all, left out or not."""
+    names = (name for name in parameters if name.startswith("effect.") and name.endswith(".kind"))
+    there = [name.removesuffix("kind") for name in names if parameters[name] != "absent"]
+    keys = [stem + key for stem in there for key in ("kind", "on", "estimate")]
+    return {key: parameters[key] for key in keys if key in parameters}
+
+
+def placed_anew_lines(parameters: Columns) -> list[str]:
     """One line on how often objects were placed again for `evidence_at_least`; no line without that key."""
-    times = [value for scene in scenes if isinstance(value := scene.get(PLACED_ANEW), int)]
-    if not times:
+    column = parameters.get(PLACED_ANEW)
+    if column is None or column.kinds != {int}:
         return []
-    share, mean = sum(count > 0 for count in times) / len(times), sum(times) / len(times)
+    times = column.numbers
+    share, mean = float((times > 0).mean()), float(times.mean())
     return [
         f"evidence_at_least: in {share:.0%} of scenes objects were placed anew, {mean:.2g} times a scene; near, "
         "large and bright ones are more frequent than declared"
     ]
 
 
-def label_place_line(scenes: Parameters) -> str:
+def label_place_line(parameters: Columns) -> str:
     """One sentence on where label images lie beside the scan; "" if no scene says so, as in imports."""
-    shifts = []
-    for parameters in scenes:
-        right, up = (parameters.get(name) for name in SCAN_PLACE)
-        if isinstance(right, float) and isinstance(up, float):
-            shifts.append((abs(right), abs(up)))
-    if not shifts:
+    if any(name not in parameters or parameters[name].kinds != {float} for name in SCAN_PLACE):
         return ""
-    aside, above = (max(shift[axis] for shift in shifts) for axis in (0, 1))
+    right, up = (np.abs(parameters[name].numbers) for name in SCAN_PLACE)
+    aside, above = right.max(), up.max()
     if max(aside, above) <= OVER_M:
         return "Label images lie over the scan: both have the same middle."
-    middle, least = statistics.median(right for right, _ in shifts), min(right for right, _ in shifts)
+    middle, least = np.median(right), right.min()
     return (
         f"Label images lie {least:.2g} … {aside:.2g} m beside the scan, middle to middle (median "
         f"{middle:.2g} m), and up to {above:.2g} m above or below it: they show the hidden part, wherever that "

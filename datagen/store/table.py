@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-import io
+import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
 from typing import IO
 
 import numpy as np
@@ -15,7 +18,7 @@ import pyarrow.parquet as pq
 from datagen.config import SplitsConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Scalar
-from datagen.store.files import read_json
+from datagen.store.files import read_json, replacing
 from datagen.store.location import Location
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
@@ -38,44 +41,90 @@ COLUMNS = {
     "others": "what was drawn for the sample and decided about it; docs/configuration.md of datagen lists them",
 }
 """Column → meaning, for the cards."""
+BATCH = 1024
+"""Scenes whose records are held at a time."""
+GROUP_BATCHES = 16
+"""Batches of a row group of the file, which is made in memory: 2 kB a scene."""
 _OWN = ("scene", "shard", "failure", "split")
 
 
-def table_of(records: Sequence[ShardRecord], fields: Sequence[str], splits: SplitsConfig | None = None) -> pa.Table:
-    """The table, with a row for each scene. It has no timings, so that it depends on the configuration alone.
+@dataclass(frozen=True)
+class Rows:
+    """The rows of the table in batches of `BATCH` scenes, made from the records in each iteration. It raises
+    `ValueError` or `TypeError` if the records are no longer those of which parameters and splits were taken.
 
-    Its columns are `scene`, `shard`, `failure` (null without one), `split` (only if `splits` is given; null after a
-    failure), each parameter by its dotted name (null in scenes without it), `stats.FIELD.QUANTITY` and
-    `sha256.FIELD`.
+    The table has no timings, so that it depends on the configuration alone. Its columns are `scene`, `shard`,
+    `failure` (null without one), `split` (null after a failure), each parameter by its dotted name (null in scenes
+    without it), `stats.FIELD.QUANTITY` and `sha256.FIELD`.
+
+    records : returns the records of all shards in their order, read anew.
+    parameters : parameter → the types of its values over all scenes.
+    splits : of each scene.
+    with_stats, fields : names of the fields with statistics, and of all fields.
     """
-    rows = [(record.shard, scene) for record in records for scene in record.scenes]
-    rows.sort(key=lambda row: row[1].index)
-    scenes = [scene for _, scene in rows]
-    columns: dict[str, pa.Array] = {
-        "scene": pa.array([scene.index for scene in scenes], pa.int64()),
-        "shard": pa.array([shard for shard, _ in rows], pa.int32()),
-        "failure": pa.array([scene.failure for scene in scenes], pa.string()),
-    }
-    if splits is not None:
-        shown = [scene.parameters if scene.failure is None else None for scene in scenes]
-        columns["split"] = pa.array(splits_of(shown, splits), pa.string())
-    names = dict.fromkeys(name for scene in scenes for name in scene.parameters)
-    for name in names:
-        columns[name if name not in _OWN else f"parameter.{name}"] = _column(scenes, name)
-    for name in dict.fromkeys(name for scene in scenes for name in scene.stats):
-        for quantity in QUANTITIES:
-            values = [getattr(scene.stats[name], quantity) if name in scene.stats else None for scene in scenes]
-            columns[f"stats.{name}.{quantity}"] = pa.array(values, pa.float64())
-    for field in fields:
-        columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
-    return pa.table(columns)
+
+    records: Callable[[], Iterable[ShardRecord]]
+    parameters: Mapping[str, Set[type]]
+    splits: Sequence[str | None]
+    with_stats: Sequence[str]
+    fields: Sequence[str]
+
+    def __iter__(self) -> Iterator[pa.RecordBatch]:
+        scenes = ((record.shard, scene) for record in self.records() for scene in record.scenes)
+        rows = zip(scenes, self.splits, strict=True)
+        while (batch := self._next(rows)) is not None:
+            yield batch
+
+    def _next(self, rows: Iterator[tuple[tuple[int, SceneRecord], str | None]]) -> pa.RecordBatch | None:
+        """The next batch, or None. Its records are gone when it is returned."""
+        some = [*itertools.islice(rows, BATCH)]
+        if not some:
+            return None
+        scenes, splits = [scene for (_, scene), _ in some], [split for _, split in some]
+        columns: dict[str, pa.Array] = {
+            "scene": pa.array([scene.index for scene in scenes], pa.int64()),
+            "shard": pa.array([shard for (shard, _), _ in some], pa.int32()),
+            "failure": pa.array([scene.failure for scene in scenes], pa.string()),
+            "split": pa.array(splits, pa.string()),
+        }
+        for name, kinds in self.parameters.items():
+            values = [scene.parameters.get(name) for scene in scenes]
+            columns[name if name not in _OWN else f"parameter.{name}"] = _column(values, kinds)
+        for name in self.with_stats:
+            for quantity in QUANTITIES:
+                values = [getattr(scene.stats[name], quantity) if name in scene.stats else None for scene in scenes]
+                columns[f"stats.{name}.{quantity}"] = pa.array(values, pa.float64())
+        for field in self.fields:
+            columns[f"sha256.{field}"] = pa.array([scene.digests.get(field) for scene in scenes], pa.string())
+        return pa.RecordBatch.from_pydict(columns)
 
 
-def table_bytes(table: pa.Table) -> bytes:
-    """The table as a Parquet file. The same table gives the same bytes."""
-    sink = io.BytesIO()
-    pq.write_table(table, sink, compression="zstd")
-    return sink.getvalue()
+def write_table(path: Path, rows: Iterable[pa.RecordBatch]) -> None:
+    """Write the table. The same rows give the same bytes."""
+    batches = iter(rows)
+    with replacing(path) as file, contextlib.ExitStack() as stack:
+        writer: pq.ParquetWriter | None = None
+        while some := [*itertools.islice(batches, GROUP_BATCHES)]:
+            # One piece, since the bytes depend on where pieces end.
+            group = pa.Table.from_batches(some).combine_chunks()
+            writer = writer or stack.enter_context(pq.ParquetWriter(file, group.schema, compression="zstd"))
+            writer.write_table(group)
+
+
+def has_rows(path: Location, rows: Iterable[pa.RecordBatch]) -> bool:
+    """Whether a table has these rows and no others. Other versions of Arrow write them with other bytes."""
+    try:
+        with path.open("rb") as stored:
+            batches = parquet_file(stored).iter_batches(BATCH, use_threads=False)
+            pairs = itertools.zip_longest(batches, rows)
+            return all(None not in pair and _equal(*pair) for pair in pairs)
+    except (pa.ArrowException, OSError, ValueError):
+        return False
+
+
+def _equal(one: pa.RecordBatch, other: pa.RecordBatch) -> bool:
+    """Whether two batches have the same values; NaN equals NaN."""
+    return one.equals(other) or (one.schema.equals(other.schema) and repr(one.to_pydict()) == repr(other.to_pydict()))
 
 
 def stats_by_split(table: pa.Table) -> dict[str, dict[str, dict[str, float]]]:
@@ -153,11 +202,11 @@ def read_table(root: Location, columns: Sequence[str] | None, scenes: int) -> pa
         raise CheckError(f"{path}: cannot be read ({' '.join(str(error).split())}); {remedy}") from None
 
 
-def _column(scenes: Sequence[SceneRecord], name: str) -> pa.Array:
-    """A parameter of all scenes as a column: of booleans, integers, floats, or else texts."""
-    values: list[Scalar | None] = [scene.parameters.get(name) for scene in scenes]
-    present = [value for value in values if value is not None]
-    kinds = {bool if isinstance(value, bool) else type(value) for value in present}
+def _column(values: Sequence[Scalar | None], kinds: Set[type]) -> pa.Array:
+    """Some values of a parameter as a column: of booleans, integers, floats, or else texts.
+
+    kinds : the types of its values in all scenes.
+    """
     if kinds == {bool}:
         return pa.array(values, pa.bool_())
     if kinds == {int}:

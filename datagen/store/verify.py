@@ -8,19 +8,19 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pyarrow as pa
-
 from datagen.config import fingerprint_of
 from datagen.errors import CheckError, printable
 from datagen.store.card import CARD, card, write_card
 from datagen.store.croissant import croissant
+from datagen.store.description import Description
 from datagen.store.environment import made_with
 from datagen.store.files import difference, holds, json_bytes, write_if_changed
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, read_record, recorded_shards, sound_records
-from datagen.store.table import CROISSANT, TABLE, parquet_file, rows_of, stats_by_split, table_bytes, table_of
+from datagen.store.shard import digest
+from datagen.store.table import CROISSANT, TABLE, has_rows, write_table
 
 
 def committed(
@@ -45,18 +45,27 @@ def each_committed(
             yield record
 
 
-def finish(root: Path, manifest: Manifest, records: Sequence[ShardRecord]) -> None:
-    """Write the files of a complete dataset beside its arrays: table, cards, and `stats` in `dataset.json`."""
-    table = _table(manifest, records)
-    manifest = replace(manifest, stats=stats_by_split(table))
-    write_if_changed(root / MANIFEST, manifest.to_bytes())
-    write_if_changed(root / TABLE, table_bytes(table))
-    write_if_changed(root / CROISSANT, json_bytes(croissant(root, manifest, records)))
-    write_card(root, manifest, records)
+def finish(root: Path, manifest: Manifest) -> Description:
+    """Write the card of a dataset, and of a complete one the other files beside its arrays: table, `croissant.json`,
+    and `stats` in `dataset.json`. Returns the description of what is there.
 
-
-def _table(manifest: Manifest, records: Sequence[ShardRecord]) -> pa.Table:
-    return table_of(records, [field.name for field in manifest.schema.fields], manifest.splits())
+    Raises `CheckError` if another build changes shards in the meantime.
+    """
+    dataset = Description(manifest, each_committed(root, manifest))
+    if dataset.is_whole:
+        dataset.manifest = replace(manifest, stats=dataset.stats())
+        write_if_changed(root / MANIFEST, dataset.manifest.to_bytes())
+        rows = dataset.rows(lambda: each_committed(root, manifest))
+        if not has_rows(root / TABLE, rows):
+            try:
+                write_table(root / TABLE, rows)
+            except (TypeError, ValueError):
+                raise CheckError(
+                    f"{root}: shards have changed while {TABLE} was made; run the same `datagen build` again"
+                ) from None
+        write_if_changed(root / CROISSANT, json_bytes(croissant(root, dataset)))
+    write_card(root, dataset)
+    return dataset
 
 
 @dataclass(frozen=True)
@@ -80,8 +89,8 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
     root = location_of(path)
     manifest = read_manifest(root)
     problems = list(_metadata_problems(root, manifest))
-    scenes = size = 0
-    records, there = [], recorded_shards(root)
+    size = 0
+    dataset, there = Description(manifest), recorded_shards(root)
     for shard in there:
         if shard >= manifest.schema.shards:
             problems.append(
@@ -95,16 +104,16 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
             continue
         if record is None:
             continue
-        records.append(record)
+        dataset.add(record)
         problems += _shard_problems(root, manifest, record, deep)
-        scenes, size = scenes + len(record.scenes), size + sum(file.bytes for file in record.files.values())
+        size += sum(file.bytes for file in record.files.values())
     problems += [
         f"{name}: not there (no commit record); build again to make what is missing"
         for name in _missing(there, manifest.schema.shards)
     ]
-    if len(records) == manifest.schema.shards:
-        problems += _summary_problems(root, manifest, records)
-    return Verification(scenes, len(records), size, tuple(printable(problem) for problem in problems))
+    if dataset.is_whole:
+        problems += _summary_problems(root, dataset)
+    return Verification(dataset.scenes, dataset.shards, size, tuple(printable(problem) for problem in problems))
 
 
 def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
@@ -143,37 +152,26 @@ def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, dee
                 yield str(error)
 
 
-def _summary_problems(root: Location, manifest: Manifest, records: Sequence[ShardRecord]) -> Iterator[str]:
+def _summary_problems(root: Location, dataset: Description) -> Iterator[str]:
     """Problems of the files that a complete dataset has beside its arrays."""
     if not (root / TABLE).is_file():
         yield f"{TABLE}: missing; build again to write it"
         return
-    table, now = _table(manifest, records), made_with()
-    if manifest.stats != stats_by_split(table):
+    manifest, now = dataset.manifest, made_with()
+    if manifest.stats != dataset.stats():
         yield "dataset.json: its stats differ from what the commit records say"
-    # Another version of pyarrow writes the same table with other bytes; then the rows are compared.
-    same_writer = manifest.made_by["pyarrow"] == now["pyarrow"]
-    if not holds(root / TABLE, table_bytes(table)) and (same_writer or not _has_rows_of(root / TABLE, table)):
+    if not has_rows(root / TABLE, dataset.rows(lambda: sound_records(root, range(manifest.schema.shards)))):
         yield f"{TABLE}: differs from what the commit records say"
         return
     # Another version of datagen may describe the same dataset in other words; then the cards must only exist.
     same_words = manifest.made_by["datagen"] == now["datagen"]
     texts = {CROISSANT: b"", CARD: b""}
     if same_words:
-        texts[CROISSANT] = json_bytes(croissant(root, manifest, records))
-        texts[CARD] = card(manifest, records).encode()
+        texts[CROISSANT] = json_bytes(croissant(root, dataset))
+        texts[CARD] = card(dataset).encode()
     for name, text in texts.items():
         if not (holds(root / name, text) if same_words else (root / name).is_file()):
             yield f"{name}: missing, or differs from what the dataset holds"
-
-
-def _has_rows_of(path: Location, table: pa.Table) -> bool:
-    try:
-        with path.open("rb") as file:
-            stored = rows_of(parquet_file(file)).replace_schema_metadata(table.schema.metadata)
-        return table_bytes(stored) == table_bytes(table)
-    except (pa.ArrowException, OSError, ValueError):
-        return False
 
 
 def dataset_digest(path: str | Location) -> str:
@@ -188,19 +186,19 @@ def dataset_digest(path: str | Location) -> str:
     """
     root = location_of(path)
     manifest = read_manifest(root)
-    schema, records = manifest.schema, committed(root, manifest)
-    if len(records) < schema.shards:
+    schema, shards, made = manifest.schema, 0, list[bool]()
+    for record in each_committed(root, manifest):
+        shards += 1
+        made += [scene.failure is None for scene in record.scenes]
+    if shards < schema.shards:
         raise CheckError(
-            f"{root}: {schema.shards - len(records)} of {schema.shards} shards are missing or damaged; run the same "
+            f"{root}: {schema.shards - shards} of {schema.shards} shards are missing or damaged; run the same "
             "`datagen build` again to make them"
         )
-    scenes = sorted((scene for record in records for scene in record.scenes), key=lambda scene: scene.index)
     reader, whole = DatasetReader(root, manifest, schema.by_name), hashlib.sha256()
     for name, field in sorted(schema.by_name.items()):
         whole.update(f"{name} {field.dtype} {' '.join(map(str, field.shape))}\n".encode())
-        for scene in scenes:
-            if scene.failure is None:
-                # Reading compares the values with the record's digest, which can then stand for them.
-                reader.read(name, [scene.index])
-            whole.update(bytes.fromhex(scene.digests[name]) if scene.failure is None else bytes(32))
+        for index, is_made in enumerate(made):
+            value = reader.read(name, [index])[0] if is_made else None
+            whole.update(bytes(32) if value is None else bytes.fromhex(digest(field, value)))
     return whole.hexdigest()

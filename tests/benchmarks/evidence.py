@@ -13,6 +13,7 @@ from datagen.config import DatasetConfig, load_config
 from datagen.config.scene_layouts import NoLayout
 from datagen.design.exposure import with_exposure_found
 from datagen.pipeline import simulate_sample
+from datagen.store.columns import Columns
 from datagen.store.summaries import KindEvidence, evidence_by_kind
 
 
@@ -22,7 +23,7 @@ def found_in(config: DatasetConfig, scenes: int, target: float) -> list[KindEvid
     coarser = None if config.transport.target is None else max(target, config.transport.target)
     transport = config.transport.model_copy(update={"target": coarser})
     lean = config.model_copy(update={"store": store, "transport": transport})
-    found = [simulate_sample(lean, index).parameters for index in range(scenes)]
+    found = Columns(simulate_sample(lean, index).parameters for index in range(scenes))
     return [*evidence_by_kind(found), *evidence_by_kind(found, "all objects")]
 
 

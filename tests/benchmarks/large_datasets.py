@@ -1,9 +1,9 @@
-"""What opening a large dataset costs: seconds and memory against the number of scenes.
+"""What opening, checking and resuming a large dataset costs: seconds and memory against the number of scenes.
 
 `python tests/benchmarks/large_datasets.py [SCENES …]` prints the figures of docs/figures.md. Eight scenes of
 `configs/quickstart.yaml` are simulated, and the dataset of many is made of them without another simulation: each
 shard has a commit record of its own, with other parameters, and its files are links to those of the first shard.
-Each step runs in a process of its own, after one that opened the eight scenes; files are in the page cache.
+Each step runs in a process of its own, after the same step with eight scenes; files are in the page cache.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from datagen.bench.measuring import machine, markdown
 from datagen.building import build
 from datagen.config import DatasetConfig, load_config
 from datagen.records import Sample
-from datagen.store import finish, prepare, write_shard
+from datagen.store import finish, prepare, read_manifest, write_shard
 from datagen.store.manifest import Manifest
 from datagen.store.record import SceneRecord, ShardRecord, record_path
 from datagen.store.scenes import Scenes
@@ -34,6 +34,8 @@ SIZES = (2_000, 20_000, 200_000)
 SIMULATED = 8
 BATCH = 16
 CONFIG = Path("configs/quickstart.yaml")
+FEW = "DATAGEN_FEW"
+"""Environment variable with the path of the eight scenes, for the workers of a build."""
 
 
 def copied(config: DatasetConfig, few: Path, root: Path) -> None:
@@ -46,11 +48,12 @@ def copied(config: DatasetConfig, few: Path, root: Path) -> None:
         ((index, Sample(index, samples[index % SIMULATED].arrays, samples[index % SIMULATED].parameters, {}))
          for index in manifest.schema.scenes_of(0)),
     )  # fmt: skip
-    records = [_record(root, manifest, first, shard) for shard in range(manifest.schema.shards)]
-    finish(root, manifest, records)
+    for shard in range(manifest.schema.shards):
+        _record(root, manifest, first, shard)
+    finish(root, manifest)
 
 
-def _record(root: Path, manifest: Manifest, first: ShardRecord, shard: int) -> ShardRecord:
+def _record(root: Path, manifest: Manifest, first: ShardRecord, shard: int) -> None:
     """Commit a shard whose values are those of the first one."""
     scenes = manifest.schema.scenes_of(shard)
     files = {}
@@ -65,7 +68,6 @@ def _record(root: Path, manifest: Manifest, first: ShardRecord, shard: int) -> S
         scenes=tuple(_scene(first.scenes[index - scenes.start], index) for index in scenes),
     )  # fmt: skip
     record_path(root, shard).write_bytes(record.to_bytes())
-    return record
 
 
 def _scene(scene: SceneRecord, index: int) -> SceneRecord:
@@ -118,6 +120,37 @@ def _with_memory(items: Any) -> list[float]:
     return [own_mb()]
 
 
+def verified(path: str) -> Any:
+    from datagen.store import verify
+
+    found = verify(path)
+    assert not found.problems, found.problems[:3]
+
+
+def resumed(path: str) -> Any:
+    """A build that finds all shards."""
+    config = load_config(CONFIG).with_scenes(read_manifest(path).schema.scenes)
+    build.build(config, path, sample_function=simulated_before, progress=False)
+
+
+def resumed_without_one(path: str) -> Any:
+    """A build that makes the first shard."""
+    record_path(Path(path), 0).unlink()
+    resumed(path)
+
+
+def simulated_before(config: DatasetConfig, index: int) -> Sample:
+    """One of the eight scenes, which takes no time to make."""
+    found = Scenes(os.environ[FEW]).read(index % SIMULATED)
+    return Sample(index, found.arrays, found.parameters, {})
+
+
+def previewed(path: str) -> Any:
+    from datagen.report.preview import preview
+
+    return preview(path, scenes=0)
+
+
 def own_mb() -> float:
     """Largest resident memory of this process so far, MB."""
     return int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) / 1e3  # type: ignore[index]
@@ -125,13 +158,16 @@ def own_mb() -> float:
 
 STEPS: dict[str, Callable[[str], Any]] = {
     "open": opened, "open a split": split_opened, "stats": statistics_of, "first batch of a worker": first_batch,
-    "a scene of every shard": one_of_every_shard, "info": info_of,
+    "a scene of every shard": one_of_every_shard, "info": info_of, "preview": previewed, "verify": verified,
+    "build, nothing left": resumed, "build, one shard left": resumed_without_one,
 }  # fmt: skip
 
 
 def step(name: str, few: str, path: str) -> None:
     """Print seconds and memory of a step as JSON: before it, after it, and in a worker."""
-    opened(few)[0], info_of(few)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[FEW] = few
+        STEPS[name](str(shutil.copytree(few, Path(folder) / "warm")))
     before = own_mb()
     began = time.perf_counter()
     answer = STEPS[name](path)

@@ -31,7 +31,7 @@ from datagen.bench.measuring import machine, markdown
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.loader import TransientDataset, collate
 from datagen.records import Sample
-from datagen.store import committed, finish, prepare, schema_of, write_shard
+from datagen.store import finish, prepare, schema_of, write_shard
 from datagen.store.arrays import BLOCK_BYTES
 from datagen.store.files import bytes_below
 
@@ -202,7 +202,7 @@ def write_ours(config: DatasetConfig, root: Path) -> None:
             for index in manifest.schema.scenes_of(shard)
         )
         write_shard(root, manifest.schema, shard, manifest.fingerprint, samples)
-    finish(root, manifest, committed(root, manifest))
+    finish(root, manifest)
 
 
 def read_by(peer: Peer, folder: Path, root: Path, config: DatasetConfig) -> tuple[int, Any]:

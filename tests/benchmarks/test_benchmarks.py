@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import importlib.util
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from benchmarks import detector, evidence, large_datasets, loaders, scaling
 from benchmarks.hard_scenes import hard
-from damage import SCENES, small_dataset
+from damage import SCENES, sample, small_dataset
+from datasets import write_dataset
 from torch.utils.data import IterableDataset
 
 from datagen import Accuracy, simulate
-from datagen.config import config_from_mapping
+from datagen.building.build import build
+from datagen.config import DatasetConfig, config_from_mapping
 from datagen.loader import TransientDataset
 from datagen.pipeline import simulate_sample
+from datagen.records import Sample
 from datagen.store import verify
+from datagen.store.info import info
 
 
 def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
@@ -43,6 +51,39 @@ def test_a_large_dataset_is_a_whole_one(monkeypatch: pytest.MonkeyPatch, tmp_pat
     large_datasets.copied(config, tmp_path / "few", tmp_path / "many")
     assert verify(tmp_path / "many", deep=True).problems == ()
     assert len(large_datasets.one_of_every_shard(str(tmp_path / "many"))) == 16 and large_datasets.own_mb() > 10
+
+
+def rich_sample(config: DatasetConfig, index: int) -> Sample:
+    """A scene of fifty parameters."""
+    numbers = {f"room.p{number}": (index + 1) / (number + 1) for number in range(50)}
+    return replace(sample(config, index), parameters=numbers)
+
+
+def test_what_stays_of_a_scene_is_some_numbers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of each of 1024 scenes more, `info`, `verify` and a build with nothing left hold less than 2 kB; records would
+    take 5 kB."""
+    config = config_from_mapping({
+        "scenes": 8, "name": "many", "capture": {"scan": {"rows": 1, "columns": 2}, "time": {"bins": 8}},
+        "store": {"fields": ["histogram"], "scenes_per_shard": 256},
+    })  # fmt: skip
+    write_dataset(config, tmp_path / "few", rich_sample)
+    peaks = []
+    for scenes in (1024, 2048):
+        many, root = config.with_scenes(scenes), tmp_path / str(scenes)
+        large_datasets.copied(many, tmp_path / "few", root)
+        again = partial(build, many, progress=False, sample_function=rich_sample)
+        peaks.append([peak_bytes(step, root) for step in (info, verify, again)])
+    assert all(most - least < 1024 * 2_000 for least, most in zip(*peaks, strict=True)), peaks
+
+
+def peak_bytes(step: Callable[[Path], object], root: Path) -> int:
+    """The most memory that Python's objects take during a step."""
+    tracemalloc.start()
+    try:
+        step(root)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def test_loaders_print_a_rate_of_each(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,6 +11,7 @@ from matched_filter import MODES, farthest_of, ready, separation
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean
 from datagen.records import Transient
+from datagen.store.columns import Columns
 from datagen.store.summaries import evidence_by_kind, evidence_lines
 
 TIME = dg.TimeAxis(bins=60, width_s=2e-10)
@@ -142,10 +143,10 @@ def test_the_summary_of_kinds() -> None:
         | {"evidence.weakest": 0.0, "evidence.box.detections": 5.0}
         for k in range(2)
     ]
-    box, cone, ghost = evidence_by_kind(scenes)
+    box, cone, ghost = evidence_by_kind(Columns(scenes))
     assert (box.objects, box.median, box.exposure_factor) == (3, 6.0, 4.0)
     assert np.isclose(box.under_3, 1 / 3) and box.under_1 == 0.0 and cone.under_1 == 1.0
     assert all(f"{of.kind}: " in line for of, line in zip((box, ghost), evidence_lines([box, ghost]), strict=True))
     # With the exposure that the summary states, the object is over 3 σ.
     more = {"evidence.box.significance": 1.5 * np.sqrt(box.exposure_factor)}
-    assert evidence_by_kind([more])[0].under_3 == 0.0
+    assert evidence_by_kind(Columns([more]))[0].under_3 == 0.0

@@ -24,6 +24,7 @@ from datagen.report.replay import REPRODUCED, read_scene, replay
 from datagen.report.rooms import RoomPicture, draw_plan, draw_sight
 from datagen.report.style import house_style, new_figure
 from datagen.scene import generate_scene
+from datagen.store.columns import Columns
 from datagen.store.files import sealed
 from datagen.store.record import record_path
 
@@ -196,7 +197,7 @@ def test_the_plan_shows_what_the_device_sees(config: DatasetConfig) -> None:
 def test_varying_keeps_numbers_and_few_words() -> None:
     scenes = [{"a": float(k), "b": 1.0, "kind": "xy"[k % 2], "name": f"n{k}", "flag": k > 9} for k in range(20)]
     scenes[3]["only_here"] = 1.0
-    assert list(varying(scenes)) == ["a", "kind", "flag"]
+    assert list(varying(Columns(scenes))) == ["a", "kind", "flag"]
 
 
 def test_a_dataset_whose_mesh_files_are_gone_is_shown(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from fake_samples import fake_sample
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
 from datagen.loader import TransientDataset
-from datagen.store import DatasetReader, committed, read_manifest, schema, verify
+from datagen.store import DatasetReader, Description, each_committed, read_manifest, schema, verify
 from datagen.store.croissant import croissant
 
 
@@ -205,6 +205,7 @@ def test_table_and_cards_agree_with_the_dataset(dataset: Path) -> None:
     assert not any("second" in name for name in table.column_names)
     card = (dataset / "README.md").read_text()
     assert "Complete: 12 scenes in 3 shards" in card and "| `depth` | scene, row, column | 12, 4, 5 |" in card
-    described = croissant(dataset, read_manifest(dataset), committed(dataset, read_manifest(dataset)))
+    manifest = read_manifest(dataset)
+    described = croissant(dataset, Description(manifest, each_committed(dataset, manifest)))
     columns = [field["source"]["extract"]["column"] for field in described["recordSet"][0]["field"]]
     assert columns == table.column_names
