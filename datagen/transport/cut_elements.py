@@ -134,7 +134,7 @@ class Walk(NamedTuple):
 
     tag, piece : what waits, (STACK, 5) BOX or PIECE, its index, the cluster, its first square and their number;
     (STACK, 15) corners of a piece, and the guesses and distances to the laser point there. at : (4,) pair, part and
-    height of the stack at which to go on, and samples of that part; all 0 at first. numbers, state : (3,) and (1,)
+    height of the stack at which to go on, and elements so far; all 0 at first. numbers, state : (3,) and (1,)
     random numbers, and the state of their stream.
     """
 

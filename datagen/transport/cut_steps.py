@@ -322,10 +322,9 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
     pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
-    part's rows, −1 for parts that are left out. most : samples of a part in a pair from which on only what is near is
-    cut. replicate : 0 or 1. walk : goes on where the last batch was full; its pair is n when all is done. expected :
-    (4,) added up: photons as guessed, of all pieces and of those whose FoV points are far apart for their distance;
-    pairs with a part, and those with `most` samples of it.
+    part's rows, −1 for parts that are left out. most : elements of the walk from which on only what is near is cut.
+    replicate : 0 or 1. walk : goes on where the last batch was full; its pair is n when all is done. expected : (2,)
+    photons as guessed, added up: of all pieces, and of those whose FoV points are far apart for their distance.
     """
     used, at, tag, lasers = 0, walk.at, walk.tag, room.lasers
     for pair in range(at[0], len(pairs)):
@@ -347,8 +346,6 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
                 continue
             surface = Surface(brdf_of(room.kind, room.values, k), room.outer[k], room.peak[k], room.lobe[k])
             if top == 0:
-                at[3] = 0
-                expected[2] += 1.0
                 push(tag, 0, BOX, room.tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
                 top = 1
             while top > 0:
@@ -379,7 +376,6 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
                 at[3] += 1
-                expected[3] += 1.0 if at[3] == most else 0.0
                 for d in range(3):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
                 if _sample(walk, top, piece, replicate, room, pool, surface, ends, seen, expected, batch, used):

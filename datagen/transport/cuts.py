@@ -65,10 +65,10 @@ RUNS = 2
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
-MOST, FINE, LIMITED = 1 << 15, 0.02, 0.1
-"""Most samples of a part in a histogram, for targets down to `FINE`; more in proportion to 1/target² for less. And
-share of parts in histograms from which on, if so many reach that, cuts do not know the light: what lobes might bring,
-or what is hidden, is taken for far more than all light that there is."""
+MOST, AT_LEAST, FINE = 1 << 15, 64, 0.02
+"""Most elements of a histogram, taken together for all, as for 64 at least, and for targets down to `FINE`; more in
+proportion to 1/target² for less. If a pilot reaches that, cuts do not know the light: what lobes might bring, or what
+is hidden, is taken for far more than all light that there is."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 SAMPLES = 1 << 16
@@ -111,7 +111,8 @@ class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    most : samples of a part in a histogram. expected : (4,) of `emit`, of all runs so far.
+    most : elements of a histogram. expected : (2,) of `emit`, of all runs so far. is_limited : whether one had `most`
+    in the mean.
     """
 
     def __init__(self, problem: Problem, target: float) -> None:
@@ -133,15 +134,15 @@ class Cuts:
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
-        self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(4)
+        self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(2)
+        self.is_limited = False
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
     @property
     def knows_little(self) -> bool:
         """Whether a few of very many elements have the light."""
-        light, near, of, limited = self.expected
-        return bool(near > NEAR * light or limited > LIMITED * of)
+        return self.is_limited or bool(self.expected[1] > NEAR * self.expected[0])
 
     def least(self, whole: float) -> float:
         """L2 norm of the light of the faintest object that has an error of its own, photons, if that of all light is
@@ -197,10 +198,10 @@ class Cuts:
         the number of samples."""
         slot, samples = np.full(len(delta), -1), 0
         slot[active] = np.arange(len(active))
-        walk = Walk.of()
+        walk, most = Walk.of(), self.most * max(len(pairs), AT_LEAST)
         while walk.at[0] < len(pairs):
             used = emit(
-                pairs, delta, slot, self.most, replicate, seed, self.room, pool, walk, self.expected, self.batch
+                pairs, delta, slot, most, replicate, seed, self.room, pool, walk, self.expected, self.batch
             )  # fmt: skip
             visible = self.every[:used]
             samples += used
@@ -209,6 +210,7 @@ class Cuts:
                 legs_of(self.batch, visible, leg, origin, span)
                 visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
             pour_all(self.batch, visible, light.reshape(-1, light.shape[2]), outside.reshape(-1))
+        self.is_limited |= bool(walk.at[3] >= most)
         return samples
 
 

@@ -46,7 +46,7 @@ PAIRS = 300
 """Most pairs of laser point and pixel whose paths are drawn."""
 MORE = 4
 """How many times as many paths each further check of a scene draws; there are two at most."""
-SUSPECT = 1.25
+SUSPECT = 1.4
 """True over claimed error from which on a scene is checked again."""
 TRUE_BY_CLAIM = 1.5
 """True over claimed error that 95 % of scenes should not exceed."""
