@@ -1,7 +1,8 @@
 """The trial run: the transport at a fiftieth of its cost, which measures how much of the light has how many bounces.
 
-It consists of two independent runs a and b for a few channels (pairs of laser point and pixel). A component x is
-compared with T, all light of three bounces and more, by
+By plain paths, which share nothing with the samplers whose orders it decides about. It consists of two independent
+runs a and b for a few channels (pairs of laser point and pixel). A component x is compared with T, all light of three
+bounces and more, by
 
     ‖(x_a + x_b)/2‖ / √(T_a · T_b).
 
