@@ -34,8 +34,8 @@ from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
 
-AIM = 0.95
-"""Error that a run aims at, relative to the one asked."""
+AIM = 1.04
+"""Claimed error that a run aims at, relative to the one asked: claims lean to the large side."""
 COARSER = 30.0
 """δ of the first pilot, in units of that with which all elements together would err by their light."""
 FEW = 32
@@ -46,9 +46,9 @@ FIRST = 16
 """Most pairs of the run before it, which tells how bright the scene is."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-SCATTER, SHARED = 0.75, 0.5
-"""Squared errors over that by which two replicates differ, as measured: of what averages out over runs, and of shapes
-that are alike in all of them."""
+SCATTER, SHARED = 0.9, 0.6
+"""Squared errors over that by which two replicates differ: of what averages out over runs, and of shapes that are alike
+in all of them. As measured in the mean, and a fifth more, so that errors of 95 in 100 scenes are below 1.5 of claims."""
 DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
