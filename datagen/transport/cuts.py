@@ -66,8 +66,8 @@ RUNS = 2
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
-MOST, AT_LEAST, FINE = 1 << 15, 64, 0.02
-"""Most elements of a histogram, taken together for all, as for 64 at least, and for targets down to `FINE`; more in
+MOST, AT_LEAST, FINE = 1 << 15, 16, 0.02
+"""Most elements of a histogram, taken together for all, as for 16 at least, and for targets down to `FINE`; more in
 proportion to 1/target² for less. If a pilot reaches that, cuts do not know the light: what lobes might bring, or what
 is hidden, is taken for far more than all light that there is."""
 FAINT = 1e-4
