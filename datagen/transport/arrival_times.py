@@ -14,24 +14,6 @@ from datagen.records.arrays import Floats
 
 
 @compiled(allocates=False)
-def widened(a: float, b: float, c: float, variance: float) -> tuple[float, float, float]:
-    """Arrival times, bins, at the three vertices of a triangle whose times have the mean of a, b and c and a variance
-    that is larger by `variance`, bins²: those of an element seen from a footprint that is not a point."""
-    mean = (a + b + c) / 3.0
-    of_element = ((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2) / 12.0
-    # Times that differ are stretched about their mean. Those of an element much smaller than the footprint say
-    # nothing about the shape; a symmetric triangle of times from mean − half to mean + half has the variance half² /
-    # 6.
-    stretch, half = math.sqrt(1.0 + variance / of_element), math.sqrt(6.0 * (variance + of_element))
-    stretched = of_element > 0.01 * variance
-    return (
-        mean + (a - mean) * stretch if stretched else mean - half,
-        mean + (b - mean) * stretch if stretched else mean,
-        mean + (c - mean) * stretch if stretched else mean + half,
-    )
-
-
-@compiled(allocates=False)
 def tent(
     a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
 ) -> tuple[float, float, float, float, float, float, float]:

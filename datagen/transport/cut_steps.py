@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.arrival_times import pour, tent, widened
+from datagen.transport.arrival_times import pour, tent
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
@@ -39,13 +39,15 @@ LEAST = 0.1
 """Least density of the hidden point on an element, relative to the largest: bounds the weight where a guess is 0."""
 POINTS = 4
 """Most FoV points that a hidden point is joined to, a power of 4; one of them, drawn by its light, gets a ray."""
-STRAIGHT, EVEN, LEVELS = 0.02, 0.5, 2
-"""Bend of the arrival times over an element, relative to their span, up to which they count as linear; square of its
-size over its distance up to which its weights do; and most times that an element with more is quartered for the
-drawing and the spread of its light."""
-WIDE = 0.3
-"""Variance of the arrival times over a cluster, relative to that over an element or a bin, from which on it is
-spread by quarters: of a spread only mean and variance are known."""
+EVEN, EVEN_LEVELS = 0.05, 2
+"""Square of an element's size over its distance up to which its weights count as linear, and most times that one with
+more is quartered for the drawing."""
+STRAIGHT, LEVELS = 0.01, 3
+"""Bend of the arrival times over an element, relative to their span, up to which they count as linear, and most times
+that one with more is quartered for the spread of its light."""
+WIDE = 0.1
+"""Distance at which the times over a cluster are told apart, relative to the span of those over the element, but at
+least a bin."""
 COARSE = 1e300
 """A δ with which only what is near is cut."""
 UNEVEN = 0.5
@@ -54,25 +56,32 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 """Steps of additive recurrences (Roberts 2018), which spread the hidden and the FoV points of a pair evenly."""
 
 
-def _divided() -> tuple[tuple[int, ...], Floats, Ints]:
-    """How a triangle is divided into 4^level equal parts: for each level the number of their corners, where these lie
-    (LEVELS + 1, 15, 2), as shares of the ways to its second and third corner, and those of each part (LEVELS + 1, 16,
-    3)."""
-    counts, places, parts = list[int](), np.zeros((LEVELS + 1, 15, 2)), np.zeros((LEVELS + 1, 16, 3), np.int64)
+def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
+    """How a triangle is divided into 4^level equal parts: for each level the number of their corners; where corners
+    lie (n, 2), as shares of the ways to the second and third corner of the triangle; the two (n, 2) in the middle
+    between which each lies; and the corners of each part (LEVELS + 1, 4^LEVELS, 3). Corners of a coarser level come
+    first, in the same order."""
+    counts, where, between = list[int](), {(0.0, 0.0): 0, (1.0, 0.0): 1, (0.0, 1.0): 2}, [(0, 0), (1, 1), (2, 2)]
+    parts = np.zeros((LEVELS + 1, 4**LEVELS, 3), np.int64)
     for level in range(LEVELS + 1):
         n = 2**level
-        every = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
+        every = [(i, j) for i in range(n + 1) for j in range(n + 1 - i) if (i / n, j / n) not in where]
+        where |= {(i / n, j / n): len(where) + k for k, (i, j) in enumerate(every)}
+        # Along one of the three directions in which sides run.
+        for i, j in every:
+            a, b = (1, -(j % 2)) if i % 2 else (0, 1)
+            between.append((where[(i - a) / n, (j - b) / n], where[(i + a) / n, (j + b) / n]))
         # A part that stands upright, and the one beside it that is upside down.
         of = [
-            (every.index((i + down, j)), every.index((i + 1, j + down)), every.index((i, j + 1)))
+            (where[(i + down) / n, j / n], where[(i + 1) / n, (j + down) / n], where[i / n, (j + 1) / n])
             for i in range(n) for j in range(n - i) for down in range(2 if j < n - i - 1 else 1)
         ]  # fmt: skip
-        counts.append(len(every))
-        places[level, : len(every)], parts[level, : len(of)] = np.array(every) / n, of
-    return tuple(counts), places, parts
+        counts.append(len(where))
+        parts[level, : len(of)] = of
+    return tuple(counts), np.array(list(where)), np.array(between), parts
 
 
-CORNERS, PLACES, PARTS = _divided()
+CORNERS, PLACES, BETWEEN, PARTS = _divided()
 """Of a triangle's parts."""
 
 
@@ -89,7 +98,7 @@ class Pair(NamedTuple):
 class Hidden(NamedTuple):
     """A hidden point, drawn on an element: place, metres, normal, and density, 1/m²; the guessed light of the element
     for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, the sum of the
-    guesses at all corners of them, and by how much their mean times are late, bins."""
+    weights at all corners of them, and by how much their mean times are late, bins."""
 
     point: Vector
     normal: Vector
@@ -105,9 +114,10 @@ class Batch(NamedTuple):
     """Samples that wait for their rays.
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. light :
-    (n,) photons, relative to the sum of the guesses at all corners of all parts. level : (n,) of the 4^level equal
-    parts of a triangle that the light is spread over. time, at : (n, 15) arrival times by way of their corners,
-    bins, and guesses there, in the order of `PLACES`. change : (n, 2) of the times along both sides of the cluster.
+    (n,) photons, relative to the sum of the weights at all corners of all parts. level : (n,) of the 4^level equal
+    parts of a triangle that the light is spread over. time, at : (n, CORNERS[-1]) arrival times by way of their
+    corners, bins, and weights there, in the order of `PLACES`. change : (n, 4) along both sides of the cluster, of
+    times, bins, and of weights, relative to those at its middle.
     """
 
     ends: NDArray[np.float32]
@@ -123,7 +133,7 @@ class Batch(NamedTuple):
         """Room for n samples."""
         return cls(
             np.empty((n, 3, 3), np.float32), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64),
-            np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 2)),
+            np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 4)),
         )  # fmt: skip
 
 
@@ -163,27 +173,22 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _change_over_cluster(y, n, z, n3, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
-    """Mean change of the path by way of y over a flat cluster with the middle z, and its changes along the two sides,
-    metres.
+def _change_over_cluster(y, z, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
+    """By how much paths by way of y are longer in the mean over a flat cluster than by way of its middle z, metres,
+    and their change along each of its two sides.
 
-    n3, sides : normal and sides of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not
+    sides : of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not
     count.
 
-    Along each side, weights change by κ and paths by τ. With weights 1 + κ u for u from −½ to ½ paths have the mean
-    κ τ/12, and that of a leg of length r, which is bent, grows by (s² − (s · w)²)/(24 r) for a side s and its
-    direction w. κ is that of matt surfaces.
+    The mean of a leg of length r, which is bent, grows by (s² − (s · w)²)/(24 r) for a side s and its direction w.
     """
     d = subtract(y, z)
-    square, up, out, last = dot(d, d), dot(d, n3), dot(d, n), 1.0 if last_leg < np.inf else 0.0
-    r, mean = math.sqrt(square), 0.0
+    r, mean, last = math.sqrt(dot(d, d)), 0.0, 1.0 if last_leg < np.inf else 0.0
     s1, s2 = (sides[0], sides[1], sides[2]), (sides[3], sides[4], sides[5])
-    one, two = -dot(d, s1) / r - last * dot(to_sensor, s1), -dot(d, s2) / r - last * dot(to_sensor, s2)
-    for s, tau in ((s1, one), (s2, two)):
-        kappa = 4.0 * dot(d, s) / square - dot(n3, s) / up - dot(n, s) / out
-        mean += max(min(kappa, 2.0), -2.0) * tau / 12.0
+    for s in (s1, s2):
         mean += (dot(s, s) - (dot(d, s) / r) ** 2) / (24.0 * r)
         mean += (dot(s, s) - dot(to_sensor, s) ** 2) / (24.0 * last_leg)
+    one, two = -dot(d, s1) / r - last * dot(to_sensor, s1), -dot(d, s2) / r - last * dot(to_sensor, s2)
     return mean, one, two
 
 
@@ -222,10 +227,10 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
         own, least = walk.piece[top], LEAST * piece.most if piece.most > 0.0 else 1.0
         y0, y1, y2 = get(walk.piece, top, 0), get(walk.piece, top, 3), get(walk.piece, top, 6)
         w0, w1, w2 = max(own[9], least), max(own[10], least), max(own[11], least)
-        while (bend > STRAIGHT * piece.width or across > EVEN) and level < LEVELS:
+        while across > EVEN and level < EVEN_LEVELS:
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
     for v in range(CORNERS[level]):
-        s1, s2 = PLACES[level, v, 0], PLACES[level, v, 1]
+        s1, s2 = PLACES[v, 0], PLACES[v, 1]
         s0 = 1.0 - s1 - s2
         light = s0 * w0 + s1 * w1 + s2 * w2
         if max(s0, s1, s2) < 1.0:
@@ -235,20 +240,28 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
     part, u, total = _drawn_part(at, level, walk.numbers[0])
     a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
     t0, t1, t2 = _barycentric(u, walk.numbers[1], at[a], at[b], at[c])
-    s1 = t0 * PLACES[level, a, 0] + t1 * PLACES[level, b, 0] + t2 * PLACES[level, c, 0]
-    s2 = t0 * PLACES[level, a, 1] + t1 * PLACES[level, b, 1] + t2 * PLACES[level, c, 1]
+    s1 = t0 * PLACES[a, 0] + t1 * PLACES[b, 0] + t2 * PLACES[c, 0]
+    s2 = t0 * PLACES[a, 1] + t1 * PLACES[b, 1] + t2 * PLACES[c, 1]
     y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
     light = area * total / (3.0 * (1 << 2 * level))
     density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light
+    # For their times, which bend more than weights, parts are divided further.
+    while not is_box and bend > STRAIGHT * piece.width and level < LEVELS:
+        for v in range(CORNERS[level], CORNERS[level + 1]):
+            at[v] = 0.5 * (at[BETWEEN[v, 0]] + at[BETWEEN[v, 1]])
+        level, bend, total = level + 1, 0.25 * bend, 4.0 * total
     # Of a small box nothing is guessed, and all of its light arrives at one time.
     corners = (y, y, y) if is_box else (y0, y1, y2)
     return Hidden(y, n, density, 0.0 if is_box else light, corners, level, total, bend)
 
 
 @compiled(forceinline=True, allocates=False)
-def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type: ignore[no-untyped-def]
-    """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all."""
-    q, many, total, chosen = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1
+def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair, tilt):  # type: ignore[no-untyped-def]
+    """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all.
+
+    tilt : (2,) set to the change of weights along the sides of the cluster, relative to their mean.
+    """
+    q, many, total, chosen, one, two = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1, 0.0, 0.0
     points, first = min(many, POINTS), pair.pixel * (len(pool.part) // len(pool.cluster))
     each = many // points
     for m in range(points):
@@ -261,8 +274,16 @@ def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair):  # type
             light = pair.power * each * w * pool.weight[j] / hidden.density
             # One of them, drawn by its light, stands for all.
             total += light
+            one += light if m % 2 else -light
+            two += light if m // 2 else -light
             if light > 0.0 and (total == light or _random(walk.state) * total < light):
                 chosen = j
+    # One point in each quarter tells how weights change, which are at no corner below zero.
+    if points > 1 and total > 0.0:
+        most = max(2.0 * (abs(one) + abs(two)), total)
+        tilt[0], tilt[1] = 4.0 * one / most, 4.0 * two / most
+    else:
+        tilt[0], tilt[1] = 0.0, 0.0
     return chosen, total
 
 
@@ -277,7 +298,8 @@ def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, allocates=False)
 def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # type: ignore[no-untyped-def]
-    """Sets the times (15,) of a sample by way of FoV point z, and their change (2,) over the cluster, bins.
+    """Sets the times (CORNERS[-1],) of a sample by way of FoV point z, and their change (2,) along the sides of the
+    cluster, bins.
 
     last_leg : from z to the sensor, m. row : (18,) of the cluster.
     """
@@ -286,14 +308,12 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
         # Times, which change most over a pixel, are those of all of a flat cluster.
         z, last_leg = seen.middle, row[17]
         sides = (row[11], row[12], row[13], row[14], row[15], row[16])
-        mean, one, two = _change_over_cluster(
-            hidden.point, hidden.normal, z, seen.normal, seen.back, sides, last_leg if room.device else np.inf
-        )
+        mean, one, two = _change_over_cluster(hidden.point, z, seen.back, sides, last_leg if room.device else np.inf)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
     y0, y1, y2 = hidden.corners
     for v in range(CORNERS[hidden.level]):
-        s1, s2 = PLACES[hidden.level, v, 0], PLACES[hidden.level, v, 1]
+        s1, s2 = PLACES[v, 0], PLACES[v, 1]
         y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
         time[v] = (distance(y, pair.lit.point) + distance(y, z) + path) * per
     change[0], change[1] = one * per, two * per
@@ -307,7 +327,7 @@ def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expect
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
     expected[0] += seen.gain * hidden.light
     expected[1] += seen.gain * hidden.light if is_near else 0.0
-    j, light = _seen_from(hidden, walk, top, replicate, room, pool, surface, pair)
+    j, light = _seen_from(hidden, walk, top, replicate, room, pool, surface, pair, batch.change[used, 2:])
     if j < 0:
         return False
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
@@ -396,24 +416,116 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
             origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
 
 
+@compiled(forceinline=True, allocates=False)
+def _earlier(t, one, two):  # type: ignore[no-untyped-def]
+    """Share of a flat cluster with times earlier than t, if they change by one ≥ two ≥ 0 along its sides and are 0 in
+    the middle."""
+    edge = 0.5 * (one + two) - abs(t)
+    # From the corner on, the share grows with the square, beyond the next corner linearly.
+    late = 0.0 if edge <= 0.0 else 0.5 * edge * edge / (one * two) if edge < two else (edge - 0.5 * two) / one
+    return 1.0 - late if t > 0.0 else late
+
+
 @compiled(allocates=False)
-def pour_all(batch, rows, histogram, outside):  # type: ignore[no-untyped-def]
+def _pour_cluster(batch, s, span, histogram, outside):  # type: ignore[no-untyped-def]
+    """Adds the light of sample s, whose element is small, spread over the times of its cluster.
+
+    span : of the times over the element, bins.
+    """
+    level, at, time, row = batch.level[s], batch.at[s], batch.time[s], batch.row[s]
+    one, two, tilt1, tilt2 = batch.change[s, 0], batch.change[s, 1], batch.change[s, 2], batch.change[s, 3]
+    total = mean = 0.0
+    for part in range(1 << 2 * level):
+        for d in range(3):
+            v = PARTS[level, part, d]
+            total += at[v]
+            mean += at[v] * time[v]
+    mean, light = mean / total, batch.light[s] * total
+    # The variance of the element's times, span²/18 at most for a triangle, makes the spread somewhat larger.
+    stretch = math.sqrt(1.0 + span * span / (1.5 * (one * one + two * two)))
+    one, two = 0.5 * stretch * one, 0.5 * stretch * two
+    w1, w2 = 1.0 + 0.5 * (tilt1 - tilt2), 1.0 + 0.5 * (tilt2 - tilt1)
+    # Both halves of the cluster, divided along a diagonal.
+    for side in (-1.0, 1.0):
+        w = 1.0 + 0.5 * side * (tilt1 + tilt2)
+        half = light * (w + w1 + w2) / 6.0
+        shape = tent(mean + side * (one + two), mean + one - two, mean + two - one, w, w1, w2, half)
+        outside[row] += pour(histogram, row, shape, half)
+
+
+@compiled(allocates=False)
+def _set_kernel(kernel, change, step):  # type: ignore[no-untyped-def]
+    """Sets the shares of light (2 n + 1,) that arrive j · step bins later than by way of the middle of a cluster with
+    the change (4,) over it, −n ≤ j ≤ n. Their mean and their variance are exact. Returns n."""
+    square, variance = step * step, (change[0] ** 2 + change[1] ** 2) / 12.0
+    if variance <= 0.0:
+        kernel[0] = 1.0
+        return 0
+    tilt = (change[2] * change[0] + change[3] * change[1]) / (12.0 * variance)
+    # Rounding to steps adds a twelfth of their square.
+    scale = math.sqrt(max(1.0 - square / (12.0 * variance), 0.0))
+    one, two = scale * max(abs(change[0]), abs(change[1])), scale * min(abs(change[0]), abs(change[1]))
+    n, before = max(math.ceil(0.5 * (one + two) / step - 0.5), 1), 0.0
+    for q in range(2 * n + 1):
+        later = step * (q - n)
+        until = _earlier(later + 0.5 * step, one, two) if q < 2 * n else 1.0
+        kernel[q] = until - before
+        variance -= kernel[q] * later * later
+        before = until
+    # What is left of the variance goes from the middle to both sides.
+    kernel[n - 1] += 0.5 * variance / square
+    kernel[n] -= variance / square
+    kernel[n + 1] += 0.5 * variance / square
+    for q in range(2 * n + 1):
+        kernel[q] *= max(1.0 + tilt * step * (q - n), 0.0)
+    return n
+
+
+@compiled(allocates=False)
+def _pour_parts(batch, s, scratch):  # type: ignore[no-untyped-def]
+    """Adds the light of sample s to scratch (1, T + 2 M), whose first M bins are before the window, spread over the
+    times by way of the middle of its cluster. Returns the first and the last bin with some of it, and what is outside
+    of scratch."""
+    level, at, time, late = batch.level[s], batch.at[s], batch.time[s], 0.0
+    first = last = time[0]
+    for v in range(CORNERS[level]):
+        first, last = min(first, time[v]), max(last, time[v])
+    for part in range(1 << 2 * level):
+        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+        light = (at[a] + at[b] + at[c]) * batch.light[s]
+        late += pour(scratch, 0, tent(time[a], time[b], time[c], at[a], at[b], at[c], light), light)
+    last_bin = float(scratch.shape[1] - 1)
+    return int(min(max(first, 0.0), last_bin)), int(min(max(last, 0.0), last_bin)), late
+
+
+@compiled(allocates=False)
+def pour_all(batch, rows, histogram, outside, scratch, kernel):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
 
-    The light of a sample is spread over the arrival times of its parts in proportion to their guessed light.
+    The light of a sample is spread over the arrival times of its parts in proportion to their weights, and over those
+    of its cluster. Where neither is a point, that is a convolution: neighbours that fit together still do.
+
+    scratch : (1, T + 2 M) zeros, for clusters over which times change by up to M − 3 bins. kernel : (2 M + 1,).
     """
+    T = histogram.shape[1]
+    M = (scratch.shape[1] - T) // 2
     for s in rows:
-        level, at, time, row = batch.level[s], batch.at[s], batch.time[s], batch.row[s]
-        one, two = batch.change[s, 0], batch.change[s, 1]
-        # A cluster over which times change by more than over the piece is spread by its quarters.
-        t0, t1, t2 = time[0], time[CORNERS[level] - 1], time[1 << level]
-        m, variance = (t0 + t1 + t2) / 3.0, (one * one + two * two) / 12.0
-        quarters = 2 if variance > WIDE * max((t0 - m) ** 2 + (t1 - m) ** 2 + (t2 - m) ** 2, 1.0) / 12.0 else 1
-        variance, share = variance / quarters**2, batch.light[s] / quarters**2
-        for q in range(quarters * quarters):
-            later = 0.25 * (one * (2 * (q % 2) - 1) + two * (2 * (q // 2) - 1)) if quarters > 1 else 0.0
-            for part in range(1 << 2 * level):
-                a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
-                t0, t1, t2 = widened(time[a] + later, time[b] + later, time[c] + later, variance)
-                light = (at[a] + at[b] + at[c]) * share
-                outside[row] += pour(histogram, row, tent(t0, t1, t2, at[a], at[b], at[c], light), light)
+        row, time = batch.row[s], batch.time[s]
+        span = max(time[0], time[1], time[2]) - min(time[0], time[1], time[2])
+        whole = abs(batch.change[s, 0]) + abs(batch.change[s, 1])
+        if span < min(1.0, whole):
+            _pour_cluster(batch, s, span, histogram, outside)
+            continue
+        step = max(int(min(WIDE * span, 0.5 * whole)), 1)
+        n = _set_kernel(kernel, batch.change[s], float(step))
+        time += M
+        first, last, beyond = _pour_parts(batch, s, scratch)
+        outside[row] += beyond
+        for i in range(first, last + 1):
+            light, scratch[0, i] = scratch[0, i], 0.0
+            for q in range(2 * n + 1):
+                j = i - M + step * (q - n)
+                if 0 <= j < T:
+                    histogram[row, j] += kernel[q] * light
+                else:
+                    outside[row] += kernel[q] * light

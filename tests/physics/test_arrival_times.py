@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datagen.transport.arrival_times import pour, tent, widened
+from datagen.transport.arrival_times import pour, tent
 
 BINS, ENERGY, PARTS = 6, 2.5, 400
 TRIANGLES = {
@@ -43,12 +43,3 @@ def test_bins_of_a_triangle(case: str) -> None:
     np.testing.assert_allclose(found[0], truth, atol=3e-3 * ENERGY)
     assert outside == pytest.approx(ENERGY - truth.sum(), abs=3e-3 * ENERGY)
     assert found.sum() + outside == pytest.approx(ENERGY, rel=1e-12, abs=0)
-
-
-@pytest.mark.parametrize("times", [(1.0, 2.5, 4.0), (2.0, 2.001, 2.002)], ids=["as large", "much smaller"])
-def test_times_of_an_element_have_the_variance_of_its_cluster_too(times: tuple[float, float, float]) -> None:
-    """Mean and variance over the triangle, and the latter is larger by that over the cluster of FoV points."""
-    more = 0.4
-    wider = widened(*times, more)
-    assert np.mean(wider) == pytest.approx(np.mean(times), rel=1e-12, abs=0)
-    assert small_pieces(wider).var() == pytest.approx(small_pieces(times).var() + more, rel=1e-3, abs=0)
