@@ -457,7 +457,7 @@ def _pour_cluster(batch, s, span, histogram, outside):  # type: ignore[no-untype
 @compiled(allocates=False)
 def _set_kernel(kernel, change, step):  # type: ignore[no-untyped-def]
     """Sets the shares of light (2 n + 1,) that arrive j · step bins later than by way of the middle of a cluster with
-    the change (4,) over it, −n ≤ j ≤ n. Their variance is exact, and their mean up to some hundredths of a step. Returns n."""
+    the change (4,) over it, −n ≤ j ≤ n; returns n. Their variance is exact, their mean up to hundredths of a step."""
     square, variance = step * step, (change[0] ** 2 + change[1] ** 2) / 12.0
     if variance <= 0.0:
         kernel[0] = 1.0

@@ -35,6 +35,7 @@ TESTS = (
     PHYSICS + "test_sampling.py",
     PHYSICS + "test_brdf.py",
     PHYSICS + "test_arrival_times.py",
+    PHYSICS + "test_spread.py",
     PHYSICS + "test_all_bounces.py",
     PHYSICS + "test_blocks.py",
     PHYSICS + "test_paths_laws.py",
@@ -89,6 +90,7 @@ SPHERE = PHYSICS + "test_all_bounces.py::test_sphere_energy_for_three_to_six_bou
 BLOCKS_IN_SPHERE = PHYSICS + "test_blocks.py::test_energy_inside_of_a_sphere"
 SHADOWS_AND_AIR = PHYSICS + "test_blocks.py::test_shadows_and_air_are_those_of_plain_paths"
 BINS = PHYSICS + "test_arrival_times.py::test_bins_of_a_triangle"
+SPREAD = PHYSICS + "test_spread.py::test_light_of_an_element_and_a_cluster"
 IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
 DRAWS = PHYSICS + "test_brdf.py::test_sampler_has_the_density_it_states"
 
@@ -147,6 +149,16 @@ MUTATIONS = (
         "times: without the leg from the laser", "cut_steps.py",
         "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]",
         EQUIVALENCE + "test_cuts_and_paths.py::test_scans",
+    ),
+    Mutation(
+        "times: all of a pixel at those of its middle", "cut_steps.py",
+        "if variance <= 0.0:", "if variance >= 0.0:",
+        SPREAD + "[as large-0]",
+    ),
+    Mutation(
+        "times: weights over a pixel that change the other way", "cut_steps.py",
+        "tilt[0], tilt[1] = 4.0 * one / most", "tilt[0], tilt[1] = -4.0 * one / most",
+        PHYSICS + "test_claims.py::test_what_is_claimed_is_kept[lobe_in_wide_pixels-0.02]",
     ),
     # Blocks.
     Mutation(

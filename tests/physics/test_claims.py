@@ -97,6 +97,8 @@ def faint_plate() -> Case:
     return scene, confocal(np.array([[0.0, 0.4, 1.2], [0.0, -0.4, 0.9]]), 200)
 
 
+ASIDE = np.array([2.5, -1.6, 1.3])
+"""A device past which nothing stands before the wall."""
 FAR, SIDE, HIT, GAP_M = np.array([3.0, -1.0, 1.2]), 24, 17, 0.003
 """Of a scan: its device, laser points along a side, the index of that which lands on an object, and how far from its
 crease."""
@@ -143,12 +145,29 @@ def box_on_the_wall() -> Case:
     return wall_and(box=box), confocal(np.stack([0.0 * y, y, z], axis=1), 200, 0.03, np.array([2.5, -0.8, 1.3]))
 
 
+def ball_in_wide_pixels() -> Case:
+    """Over a pixel of 4 cm paths change by up to eight bins, and over each of few large triangles by as many."""
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3).apply_translation((1.0, 0.1, 1.2))
+    pixels = square_pixels(np.array([[0.0, -0.8, 1.0], [0.0, 0.3, 0.8], [0.0, 0.6, 1.5]]), 0.022)
+    laser = Laser(ASIDE, [[0.0, -0.2, 1.2], [0.0, 0.5, 0.7]])
+    return wall_and(ball=ball), Capture(laser, Sensor(ASIDE, pixels), bins_of_path(1400, 0.007, 0.0), "exhaustive")
+
+
+def lobe_in_wide_pixels() -> Case:
+    """The light of a glossy box falls over a pixel of 16 cm to a fraction, which cosines do not tell."""
+    scene = wall_and(box=trimesh.creation.box((0.3, 0.3, 0.3)).apply_translation((1.0, 0.2, 1.2)))
+    scene = replace(scene, materials=(scene.materials[0], Phong(ALBEDO, exponent=60.0, specular=0.9)))
+    pixels = square_pixels(np.array([[0.0, 0.5, 1.2], [0.0, 0.8, 0.9]]), 0.08)
+    laser = Laser(ASIDE, [[0.0, -0.9, 1.2]])
+    return scene, Capture(laser, Sensor(ASIDE, pixels), bins_of_path(600, 0.02, 0.0), "exhaustive")
+
+
 @pytest.mark.filterwarnings("ignore:.*lie on the object")
 @pytest.mark.parametrize(
     ("case", "target"),
     [(board_beside_a_pixel, 0.02), (board_across_pixels, 0.01), (light_at_few_points, 0.02), (ball_half_hidden, 0.05),
      (glossy_floor, 0.05), (faint_plate, 0.02), (crease_in_a_scan, 0.05), (crease_alone, 0.02),
-     (edge_of_a_pillar, 0.02), (box_on_the_wall, 0.02)],
+     (edge_of_a_pillar, 0.02), (box_on_the_wall, 0.02), (ball_in_wide_pixels, 0.02), (lobe_in_wide_pixels, 0.02)],
     ids=lambda value: getattr(value, "__name__", str(value)),
 )  # fmt: skip
 def test_what_is_claimed_is_kept(case: Callable[[], Case], target: float) -> None:
@@ -156,8 +175,8 @@ def test_what_is_claimed_is_kept(case: Callable[[], Case], target: float) -> Non
     truth = PlainPaths.of(scene, capture, Accuracy(), SAMPLES // len(pairs_of(capture)) // RUNS, 99)
     runs = [simulate(scene, capture, Accuracy(target=target), seed=seed) for seed in range(SEEDS)]
     assert {run.samplers["primary"] for run in runs} <= {"cuts", "paths"}
-    # Claims lean to the large side, and a second run is the last.
-    assert np.median([run.relative_error for run in runs]) <= 1.65 * target
+    # A second run is the last.
+    assert np.median([run.relative_error for run in runs]) <= 1.5 * target
     # Objects with next to no light have no claim, nor has any where paths find the primary.
     claims = {
         name: [run.part_errors[name] for run in runs]

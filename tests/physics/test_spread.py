@@ -1,5 +1,5 @@
-"""Light of an element and a cluster of FoV points over arrival times (`transport/cut_steps.py`), against small pieces of
-both, each of which arrives at one time."""
+"""Light of an element and a cluster of FoV points over arrival times (`transport/cut_steps.py`), against small pieces
+of both, each of which arrives at one time."""
 
 from __future__ import annotations
 
