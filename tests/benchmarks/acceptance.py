@@ -44,8 +44,8 @@ READY = (
 )  # fmt: skip
 PAIRS = 300
 """Most pairs of laser point and pixel whose paths are drawn."""
-MORE = 4
-"""How many times as many paths each further check of a scene draws; there are two at most."""
+CHECKS, MORE = 3, 4
+"""Most checks of a scene, and how many times as many paths each further one draws."""
 SUSPECT = 1.4
 """True over claimed error from which on a scene is checked again."""
 TRUE_BY_CLAIM = 1.5
@@ -92,7 +92,7 @@ class Case(NamedTuple):
     def is_done(self, checks: int) -> bool:
         """Whether so many checks are enough: one if all is known and no claim looks far off, two if none does."""
         known = checks > 1 or all(is_known(true, of) for of, true in self.claims if of > 0)
-        return checks > 2 or (known and all(true.error <= SUSPECT * of for of, true in self.claims))
+        return checks == CHECKS or (known and all(true.error <= SUSPECT * of for of, true in self.claims))
 
     def cells(self) -> list[str]:
         """The row of the table."""
@@ -111,7 +111,7 @@ def measured(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accur
     light = dg.simulate(scene, capture, accuracy, 1)
     seconds = time.process_time() - began
     of_all = light.total.sum()
-    for turn in range(3):
+    for turn in range(CHECKS):
         samples = max(int(1000 * paths * MORE**turn / RUNS / len(chosen)), 1)
         truth = PlainPaths.of(scene, capture, accuracy, samples, 7 + turn, chosen)
         energies = {}
