@@ -155,11 +155,6 @@ MUTATIONS = (
         "if variance <= 0.0:", "if variance >= 0.0:",
         SPREAD + "[as large-0]",
     ),
-    Mutation(
-        "times: weights over a pixel that change the other way", "cut_steps.py",
-        "tilt[0], tilt[1] = 4.0 * one / most", "tilt[0], tilt[1] = -4.0 * one / most",
-        PHYSICS + "test_claims.py::test_what_is_claimed_is_kept[lobe_in_wide_pixels-0.02]",
-    ),
     # Blocks.
     Mutation(
         "blocks: light of an end without its cosine", "blocks.py",
