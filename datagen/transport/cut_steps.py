@@ -177,8 +177,7 @@ def _change_over_cluster(y, z, to_sensor, sides, last_leg):  # type: ignore[no-u
     """By how much paths by way of y are longer in the mean over a flat cluster than by way of its middle z, metres,
     and their change along each of its two sides.
 
-    sides : of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not
-    count.
+    sides : of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not count.
 
     The mean of a leg of length r, which is bent, grows by (s² − (s · w)²)/(24 r) for a side s and its direction w.
     """
@@ -478,8 +477,9 @@ def _set_kernel(kernel, change, step):  # type: ignore[no-untyped-def]
     kernel[n] -= variance / square
     kernel[n + 1] += 0.5 * variance / square
     # Weights change linearly with time, and are nowhere below zero.
+    tilt = max(min(tilt, 1.0 / (n * step)), -1.0 / (n * step))
     for q in range(2 * n + 1):
-        kernel[q] *= 1.0 + max(min(tilt, 1.0 / (n * step)), -1.0 / (n * step)) * step * (q - n)
+        kernel[q] *= 1.0 + tilt * step * (q - n)
     return n
 
 
@@ -488,16 +488,16 @@ def _pour_parts(batch, s, scratch):  # type: ignore[no-untyped-def]
     """Adds the light of sample s to scratch (1, T + 2 M), whose first M bins are before the window, spread over the
     times by way of the middle of its cluster. Returns the first and the last bin with some of it, and what is outside
     of scratch."""
-    level, at, time, late = batch.level[s], batch.at[s], batch.time[s], 0.0
+    level, at, time, beyond = batch.level[s], batch.at[s], batch.time[s], 0.0
     first = last = time[0]
     for v in range(CORNERS[level]):
         first, last = min(first, time[v]), max(last, time[v])
     for part in range(1 << 2 * level):
         a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
         light = (at[a] + at[b] + at[c]) * batch.light[s]
-        late += pour(scratch, 0, tent(time[a], time[b], time[c], at[a], at[b], at[c], light), light)
+        beyond += pour(scratch, 0, tent(time[a], time[b], time[c], at[a], at[b], at[c], light), light)
     last_bin = float(scratch.shape[1] - 1)
-    return int(min(max(first, 0.0), last_bin)), int(min(max(last, 0.0), last_bin)), late
+    return int(min(max(first, 0.0), last_bin)), int(min(max(last, 0.0), last_bin)), beyond
 
 
 @compiled(allocates=False)

@@ -34,8 +34,6 @@ from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
 
-AIM = 1.0
-"""Claimed error that a run aims at, relative to the one asked."""
 COARSER = 30.0
 """δ of the first pilot, in units of that with which all elements together would err by their light."""
 FEW = 32
@@ -393,10 +391,10 @@ def _precision(cuts: Cuts, known: _Known, claimed: float, target: float) -> Floa
     norms, whole = more * np.array([l2_norm(of) for of in known.light]), more * l2_norm(known.light.sum(axis=0))
     own = np.zeros(len(squares))
     for k in np.flatnonzero(cuts.worth(norms, whole)):
-        group, asked = cuts.groups[k], AIM * cuts.problem.accuracy.each_part * norms[k]
+        group, asked = cuts.groups[k], cuts.problem.accuracy.each_part * norms[k]
         own[group] = max(own[group], squares[group] / asked**2)
     # All others alike: an element is worth its rays where it errs by as much as any other.
-    left, others = max((AIM * target * whole) ** 2, LEAST_LIGHT), np.full(len(own), True)
+    left, others = max((target * whole) ** 2, LEAST_LIGHT), np.full(len(own), True)
     while others.any():
         alike = squares[others].sum() / (left - (squares[~others] / own[~others]).sum())
         enough = others & (own >= alike)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_pieces import small_pieces
 
 from datagen.transport.arrival_times import pour, tent
 
@@ -21,22 +22,13 @@ TRIANGLES = {
 """Arrival times at three corners, bins, and the light there."""
 
 
-def small_pieces(corners: tuple[float, ...]) -> np.ndarray:
-    """The middle values of PARTS² equal pieces of a triangle, of what is linear between its corners."""
-    i, j = (k.ravel() for k in np.indices((PARTS, PARTS)))
-    upright, turned = i + j < PARTS, i + j < PARTS - 1
-    u = np.concatenate([i[upright] + 1 / 3, i[turned] + 2 / 3]) / PARTS
-    v = np.concatenate([j[upright] + 1 / 3, j[turned] + 2 / 3]) / PARTS
-    return np.asarray(corners[0] * (1 - u - v) + corners[1] * u + corners[2] * v)
-
-
 @pytest.mark.parametrize("case", TRIANGLES)
 def test_bins_of_a_triangle(case: str) -> None:
     times, light = TRIANGLES[case]
     found = np.zeros((1, BINS))
     outside = pour(found, 0, tent(*times, *light, ENERGY), ENERGY)
-    weight = small_pieces(light)
-    place = np.floor(small_pieces(times)).astype(int)
+    weight = small_pieces(light, PARTS)
+    place = np.floor(small_pieces(times, PARTS)).astype(int)
     inside = (place >= 0) & (place < BINS)
     truth = ENERGY / weight.sum() * np.bincount(place[inside], weight[inside], BINS)
     # An edge of a bin runs through a row of pieces, each of which counts as if on one side.

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_pieces import small_pieces
 
 from datagen.transport.cut_steps import BETWEEN, CORNERS, LEVELS, PARTS, PLACES, Batch, pour_all
 
@@ -41,11 +42,9 @@ def spread(times: tuple[float, ...], weights: tuple[float, ...], change: tuple[f
 
 def of_small_pieces(times: tuple[float, ...], weights: tuple[float, ...], change: tuple[float, ...]) -> np.ndarray:
     """What `spread` should be."""
-    middle = (np.arange(PIECES) + 0.5) / PIECES
-    u, v = (x.ravel() for x in np.meshgrid(middle, middle))
-    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
-    time, weight = (x[0] * (1 - u - v) + x[1] * u + x[2] * v for x in (times, weights))
-    p, q = (x.ravel() for x in np.meshgrid(middle - 0.5, middle - 0.5))
+    time, weight = small_pieces(times, PIECES), small_pieces(weights, PIECES)
+    middle = (np.arange(PIECES) + 0.5) / PIECES - 0.5
+    p, q = (x.ravel() for x in np.meshgrid(middle, middle))
     later, more = p * change[0] + q * change[1], 1 + p * change[2] + q * change[3]
     place = np.floor(time[:, None] + later).astype(int)
     place[(place < 0) | (place >= BINS)] = BINS
