@@ -17,7 +17,7 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
 from datagen.bench.plain_check import PlainPaths
-from datagen.transport.cuts import AIM, Cuts, _Known, outer_sides
+from datagen.transport.cuts import Cuts, _Known, outer_sides
 from datagen.transport.cuts import _precision as precision_of
 from datagen.transport.paths import sample_paths
 from datagen.transport.problem import Problem
@@ -170,11 +170,11 @@ def test_efforts_meet_the_targets_of_the_whole_and_of_objects() -> None:
     light[:, 0, 0] = 0.0, 0.05, 1.0, 2.0
     squares, whole = np.array([1e-6, 3e-4, 5e-4, 0.0]), light.sum()
     ball, bars, back, _ = precision_of(cuts, _Known(light, squares, 1.0), 1.0, 0.1)
-    own = squares[:3] / (AIM * 0.2 * light[1:, 0, 0]) ** 2
+    own = squares[:3] / (0.2 * light[1:, 0, 0]) ** 2
     assert ball == pytest.approx(max(own[0], bars), rel=1e-12, abs=0)
     assert (np.array([ball, bars, back]) >= own * (1 - 1e-12)).all()
     assert (squares[:3] / np.array([ball, bars, back])).sum() == pytest.approx(
-        (AIM * 0.1 * whole) ** 2, rel=1e-9, abs=0
+        (0.1 * whole) ** 2, rel=1e-9, abs=0
     )
 
 
