@@ -16,7 +16,7 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
-	bench-detector bench-loaders bench-evidence bench-acceptance bench-peers peers \
+	bench-detector bench-loaders bench-large bench-evidence bench-acceptance bench-peers peers \
 	wheel wheel-demo clean
 
 help:
@@ -30,7 +30,7 @@ help:
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
 
 setup: $(STAMP)
 
@@ -98,7 +98,7 @@ nightly: setup
 	$(BIN)/python tests/equivalence/mutations.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
-bench: setup bench-scaling bench-detector bench-loaders bench-evidence bench-acceptance bench-peers
+bench: setup bench-scaling bench-detector bench-loaders bench-large bench-evidence bench-acceptance bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
@@ -111,6 +111,11 @@ bench-detector: setup
 
 bench-loaders: setup
 	$(BIN)/python tests/benchmarks/loaders.py
+
+bench-large: setup
+	$(BIN)/python tests/benchmarks/large_datasets.py
+	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scenes 2000 --workers 2
+	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scan 64x64x512 --scenes 100
 
 bench-evidence: setup
 	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml

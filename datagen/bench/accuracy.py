@@ -119,6 +119,8 @@ def measured(
 
 def _affordable(run: Callable[[int], object], seconds: float) -> int:
     """Samples that paths may have in `seconds` processor seconds."""
+    # The first run of a scene may compile.
+    run(1)
     samples, spent = 4, 0.0
     while True:
         _, taken = processor_seconds(lambda n=samples: run(n))  # type: ignore[misc]

@@ -523,11 +523,18 @@ def pour_all(batch, rows, histogram, outside, scratch, kernel):  # type: ignore[
         time += M
         first, last, beyond = _pour_parts(batch, s, scratch)
         outside[row] += beyond
+        count, at = last + 1 - first, np.uint64(first)
+        for q in range(2 * n + 1):
+            start = first - M + step * (q - n)
+            early = min(max(-start, 0), count)
+            late = max(min(T - start, count), early)
+            for k in range(early):
+                outside[row] += kernel[q] * scratch[0, first + k]
+            # Indices without a sign are taken as they are, so that several bins are added at a time.
+            for k in range(late - early):
+                here = np.uint64(early + k)
+                histogram[np.uint64(row), np.uint64(start) + here] += kernel[q] * scratch[0, at + here]
+            for k in range(late, count):
+                outside[row] += kernel[q] * scratch[0, first + k]
         for i in range(first, last + 1):
-            light, scratch[0, i] = scratch[0, i], 0.0
-            for q in range(2 * n + 1):
-                j = i - M + step * (q - n)
-                if 0 <= j < T:
-                    histogram[row, j] += kernel[q] * light
-                else:
-                    outside[row] += kernel[q] * light
+            scratch[0, i] = 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from datasets import write_dataset
 
-from datagen.bench import stages
+from datagen.bench import accuracy, stages
 from datagen.bench.accuracy import Row, fewer_laser_points, picture
 from datagen.bench.plain_check import RUNS, Checked, PlainPaths
 from datagen.capture import capture_for
@@ -60,6 +61,21 @@ def test_accuracy_draws_what_the_time_left_room_for(tmp_path: Path) -> None:
     row = Row("target", "0.1", 0.1, 0.1, Checked(0.0, 1.0))
     for rows in ([], [row]):
         assert picture(rows, "a room", tmp_path / "accuracy.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_first_run_that_compiles_leaves_as_many_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A million samples take a second here, and the first run twenty seconds more."""
+    calls = list[int]()
+
+    def timed(call: Callable[[], object]) -> tuple[object, float]:
+        began = len(calls)
+        return call(), sum(calls[began:]) * 1e-6
+
+    def run(samples: int) -> None:
+        calls.append(samples + 20_000_000 * (not calls))
+
+    monkeypatch.setattr(accuracy, "processor_seconds", timed)
+    assert 1e6 < accuracy._affordable(run, 4.0) < 4e6
 
 
 def test_the_noise_of_the_plain_paths_is_taken_out() -> None:

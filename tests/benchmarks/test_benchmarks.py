@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from subprocess import CalledProcessError
 
 import numpy as np
 import pytest
-from benchmarks import detector, evidence, large_datasets, loaders, scaling
+from benchmarks import detector, evidence, large_datasets, loaders, long_builds, scaling
 from benchmarks.hard_scenes import hard
 from damage import SCENES, sample, small_dataset
 from datasets import write_dataset
@@ -25,6 +27,7 @@ from datagen.pipeline import simulate_sample
 from datagen.records import Sample
 from datagen.store import verify
 from datagen.store.info import info
+from datagen.store.record import record_path
 
 
 def test_loaders_hand_over_the_same_counts(tmp_path: Path) -> None:
@@ -74,6 +77,31 @@ def test_what_stays_of_a_scene_is_some_numbers(monkeypatch: pytest.MonkeyPatch, 
         again = partial(build, many, progress=False, sample_function=rich_sample)
         peaks.append([peak_bytes(step, root) for step in (info, verify, again)])
     assert all(most - least < 1024 * 2_000 for least, most in zip(*peaks, strict=True)), peaks
+
+
+def test_a_long_build_is_told_by_its_parts() -> None:
+    """Of 100 scenes in ten shards, of which each takes a second longer than the one before."""
+    readings = [long_builds.Reading(shard * (shard + 1) / 2, shard, 100.0 + shard, 200.0) for shard in range(11)]
+    table = long_builds.rows(readings, 100)
+    assert [row[0] for row in table] == ["0 to 20", "20 to 40", "40 to 60", "60 to 80", "80 to 100"]
+    assert [row[1:] for row in table[:2]] == [["0.150", "102", "200"], ["0.350", "104", "200"]]
+
+
+def test_a_long_build_is_watched(tmp_path: Path) -> None:
+    """Memory of a process and of one that it has started, and shards as they are committed."""
+    held = "import time; held = b'1' * 50_000_000; time.sleep({})"
+    text = (
+        "import pathlib, subprocess, sys, time\n"
+        f"worker = subprocess.Popen([sys.executable, '-c', {held.format(1)!r}])\n"
+        f"path = pathlib.Path({str(record_path(tmp_path, 0))!r})\n"
+        "path.parent.mkdir(); path.touch(); worker.wait(); time.sleep(0.5)"
+    )
+    readings = long_builds.watched([sys.executable, "-c", text], tmp_path, every_s=0.05)
+    assert readings[0].shards == 0 and readings[-1].shards == 1
+    assert max(reading.worker_mb for reading in readings) > 50
+    assert 1 < max(reading.build_mb for reading in readings) < 50
+    with pytest.raises(CalledProcessError):
+        long_builds.watched([sys.executable, "-c", "raise SystemExit(3)"], tmp_path, every_s=0.05)
 
 
 def peak_bytes(step: Callable[[Path], object], root: Path) -> int:

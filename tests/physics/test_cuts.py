@@ -173,9 +173,7 @@ def test_efforts_meet_the_targets_of_the_whole_and_of_objects() -> None:
     own = squares[:3] / (0.2 * light[1:, 0, 0]) ** 2
     assert ball == pytest.approx(max(own[0], bars), rel=1e-12, abs=0)
     assert (np.array([ball, bars, back]) >= own * (1 - 1e-12)).all()
-    assert (squares[:3] / np.array([ball, bars, back])).sum() == pytest.approx(
-        (0.1 * whole) ** 2, rel=1e-9, abs=0
-    )
+    assert (squares[:3] / np.array([ball, bars, back])).sum() == pytest.approx((0.1 * whole) ** 2, rel=1e-9, abs=0)
 
 
 @pytest.mark.parametrize("glossy", [False, True])
