@@ -30,7 +30,7 @@ help:
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 16 or newer)"
+	@echo "             -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
 
 setup: $(STAMP)
 

@@ -52,7 +52,7 @@ def test_accuracy(config: str, tmp_path: Path, capsys: pytest.CaptureFixture[str
     options = ["--seconds", "2", "--repeats", "1", "--laser-points", "2", "--scene", "1"]
     printed = printed_by(["accuracy", config, str(tmp_path / "out"), *options], capsys)
     # How many rows the seconds leave time for is the machine's affair.
-    assert rows_of(printed, "asked")[0][:2] == ["target", "0.2"]
+    assert rows_of(printed, "asked")[0][:2] == ["target", "0.1"]
     assert "max_bounces: 3 leaves out" in printed and "2 of its 9 laser points" in printed
     assert (tmp_path / "out/accuracy.png").read_bytes()[:4] == b"\x89PNG"
 

@@ -1,7 +1,7 @@
 """Other renderers to compare with: mitransient, a path tracer, and plain quadrature of an unoccluded plate.
 
 mitransient (Royo et al., "Non-line-of-sight transient rendering", Computers & Graphics 107 (2022); PyPI) is an
-optional extra: `pip install '.[peers]'` and an LLVM of version 16 or later (Debian: libllvm19).
+optional extra: `pip install '.[peers]'` and an LLVM of version 19 or later (Debian: libllvm19).
 
 Both give the radiance that leaves points of the relay wall towards the sensor, per emitted photon; for pixels as
 small as points `photons_to_radiance` converts our transients to it. Both put the energy of a path into the bin of its
@@ -28,7 +28,7 @@ from datagen.records import Capture, Lambertian, Laser, Rectangle, Scene, Sensor
 from datagen.records.arrays import Floats
 from datagen.units import path_from_time
 
-OLDEST_LLVM = 16
+OLDEST_LLVM = 19
 VARIANT = "llvm_ad_mono"
 POINT_HALF_SIDE_M = 1e-4
 """Half side of the pixels that stand for points."""

@@ -1,4 +1,4 @@
-"""Ours against mitransient, an independent path tracer: `pip install '.[peers]'`, LLVM ≥ 16, `pytest -m peers -s`.
+"""Ours against mitransient, an independent path tracer: `pip install '.[peers]'`, LLVM ≥ 19, `pytest -m peers -s`.
 
 Both are run `RUNS` times with independent seeds. If they estimate the same radiance, the differences run by run are
 as likely with either sign, so the sum of all differences is compared with that of every choice of signs (a
