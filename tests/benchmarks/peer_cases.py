@@ -133,9 +133,9 @@ def in_room(
     points = grid_points(WALL, *sides)
     lit = points if lasers is None else lasers
     capture = others.point_capture(WALL, points, DEVICE, lit, axis, confocal=lasers is None)
-    cells, plain = to_target(scene, capture, bounces, objects), by_paths(scene, capture, bounces)
-    truth = cells(reference, 1000)
-    contenders = [Contender("ours, to a target", "", cells, errors, truth, takes_error=True)]
+    ours, plain = to_target(scene, capture, bounces, objects), by_paths(scene, capture, bounces)
+    truth = ours(reference, 1000)
+    contenders = [Contender("ours, to a target", "", ours, errors, truth, takes_error=True)]
     if walks:
         contenders.append(Contender("ours, paths", "paths a pair", plain, walks, truth))
     if missing_for_mitransient() is None:
@@ -148,7 +148,7 @@ def in_room(
         contenders.append(Contender(PEER, "paths a point", render, paths, truth))
     orders = "3 bounces" if bounces == 3 else "3 + 4 bounces"
     seen = f"{points_a_side}² " + ("confocal points" if lasers is None else f"pixels × {len(lit)} laser point(s)")
-    title = f"{what}, {seen}, 512 bins of 3 cm, {orders} (reference: cells to 1/{reference})"
+    title = f"{what}, {seen}, 512 bins of 3 cm, {orders} (truth: ours to 1/{reference})"
     late = int(np.searchsorted(axis.centers_s, LATE_S)) if bounces > 3 else None
     return Case(title, 2, 0.02, tuple(contenders), late, most)
 
