@@ -173,10 +173,11 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
                     color=color,
                 )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlabel="processor seconds a scene", ylabel="relative L2 error")
-        for axis, form in ((axes.xaxis, "{:g}".format), (axes.yaxis, percent)):
+        for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
-            axis.set_major_formatter(lambda value, _, form=form: form(value))
             axis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.yaxis.set_major_formatter(lambda value, _: percent(value))
         axes.margins(0.12)
         axes.legend(fontsize=8)
         return save_png(figure, path)

@@ -56,7 +56,7 @@ def pour(
 ) -> float:
     """Energy outside the bins, after `energy` was added to a row of bins with the distribution of a `tent`."""
     a, b, c, low, up, high, down = shape
-    bins = histogram.shape[1]
+    bins: int = histogram.shape[1]
     # Beyond 1e15 bins, whole numbers are no longer exact; NaN fails each comparison.
     if not (c > 0.0 and a < bins and c < 1e15 and a > -1e15):
         return energy
