@@ -27,6 +27,8 @@ CHANGED_NOTHING = "nothing was changed, run the same command again"
 """What a command says that was ended by a signal and only reads."""
 _at_end = ["not finished, run the same command again: it begins anew"]
 """What the command at work says when a signal ends it; true for commands that do not name anything else."""
+_received = list[int]()
+"""Signals that end this process. What goes wrong after the first of them is its doing, and nothing is said of it."""
 
 
 def if_ended(what: str) -> None:
@@ -40,17 +42,17 @@ class Ended(SystemExit):
 
 def exit_with(command: Callable[[], int]) -> NoReturn:
     """Run a command as all that this process does, and exit with its status; signals end it with one line."""
-    received = list[int]()
+    _received.clear()
 
     def end(number: int, _: object) -> None:
-        received.append(number)
+        _received.append(number)
         # Nobody has to know what a library could not finish.
         warnings.simplefilter("ignore", RuntimeWarning)
         logging.getLogger("asyncio").disabled = True
         # Libraries that are being imported swallow what is raised in them, or raise errors of their own instead.
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
         if not _is_clearing_up():
-            raise Ended(128 + received[0])
+            raise Ended(128 + _received[0])
 
     # Not as a KeyboardInterrupt: after one during an import Python may kill itself instead of returning a status.
     # A shell makes its background processes ignore Ctrl-C, and that stays so.
@@ -62,17 +64,17 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
     try:
         status = command()
     except BaseException:
-        if not received:
+        if not _received:
             raise
     finally:
         # One more signal, while Python ends, would print a traceback.
         for number in handled:
             signal.signal(number, signal.SIG_IGN)
-    if received:
-        status = 128 + received[0]
+    if _received:
+        status = 128 + _received[0]
         # A terminal has printed ^C.
         print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
-        _complain(f"{WORDS[received[0]]}; {_at_end[0]}", status)
+        _say(f"{WORDS[_received[0]]}; {_at_end[0]}")
     sys.exit(status)
 
 
@@ -128,6 +130,11 @@ def _one_line(error: click.ClickException) -> str:
 
 def _complain(message: str, status: int) -> int:
     """`status`, after a line on standard error."""
+    if not _received:
+        _say(message)
+    return status
+
+
+def _say(message: str) -> None:
     with suppress(BrokenPipeError):
         print(f"datagen: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
-    return status

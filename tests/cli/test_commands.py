@@ -108,9 +108,9 @@ def test_scenes_simulated_again_are_those_stored(
     reseal(record, lambda values: values["made_by"].update(processor="another"))
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
     assert "(what it was made with differs: processor another and " in capsys.readouterr().out
-    reseal(tmp_path / "set/dataset.json", lambda values: values["made_by"].update(datagen="1.0.0"))
+    reseal(tmp_path / "set/dataset.json", lambda values: values["made_by"].update(datagen="9.9.9"))
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 2
-    assert "made by datagen 1.0.0, and this is" in capsys.readouterr().err
+    assert "made by datagen 9.9.9, and this is" in capsys.readouterr().err
     (tmp_path / "set/data.zarr/depth/c/1/0/0").unlink()
     assert run(["verify", str(tmp_path / "set")]) == 1
     out, err = capsys.readouterr()
