@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import re
 import runpy
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
@@ -173,3 +176,31 @@ def test_versions_agree() -> None:
     assert citation["references"][0]["doi"] == "10.3390/s24206522"
     heading = f"## [{datagen.__version__}] - {citation['date-released']}"
     assert heading in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+IMPORTED = """
+import runpy, sys
+from pathlib import Path
+tests, *scripts = map(Path, sys.argv[1:])
+path = sys.path[1:]
+for script in scripts:
+    sys.path[:], sys.argv = [str(script.parent), *path], [str(script)]
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(f"{tests}/"):
+            del sys.modules[name]
+    try:
+        runpy.run_path(str(script), run_name="imported")
+    except ImportError as error:
+        sys.exit(f"{script}: {error}")
+"""
+"""Imports scripts one after the other, each with nothing on the path but its own folder."""
+
+
+def test_scripts_find_what_they_import() -> None:
+    """As `python tests/…/script.py` does, where pytest puts no folder of tests on the path."""
+    sources = {path: path.read_text(encoding="utf-8") for path in sorted((ROOT / "tests").rglob("*.py"))}
+    scripts = [path for path, text in sources.items() if "\nif __name__ ==" in text]
+    assert len(scripts) > 15
+    command = [sys.executable, "-c", IMPORTED, str(ROOT / "tests"), *map(str, scripts)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": ""})
+    assert done.returncode == 0, done.stderr
