@@ -114,8 +114,8 @@ bench-loaders: setup
 
 bench-large: setup
 	$(BIN)/python tests/benchmarks/large_datasets.py
-	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scenes 2000 --workers 2
-	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scan 64x64x512 --scenes 100
+	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scenes 2048 --workers 2
+	$(BIN)/python tests/benchmarks/long_builds.py $(CONFIG) --scan 64x64x512 --scenes 64
 
 bench-evidence: setup
 	$(BIN)/python tests/benchmarks/evidence.py 100 0.1 configs/*.yaml

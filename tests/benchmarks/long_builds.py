@@ -1,7 +1,7 @@
 """What a long build takes: seconds and memory, by how many of its scenes are there.
 
-    python tests/benchmarks/long_builds.py configs/quickstart.yaml --scenes 2000 --workers 2
-    python tests/benchmarks/long_builds.py configs/quickstart.yaml --scan 64x64x512 --scenes 200
+    python tests/benchmarks/long_builds.py configs/quickstart.yaml --scenes 2048 --workers 2
+    python tests/benchmarks/long_builds.py configs/quickstart.yaml --scan 64x64x512 --scenes 64
 
 prints the figures of docs/figures.md. The build is the command `datagen build` in a process of its own. Memory is the
 proportional set size (PSS, Linux) of that process and of its workers, apart, the largest of each part of the build.
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 
 from datagen.bench.measuring import machine, markdown
 from datagen.bench.stages import scanned
@@ -28,14 +28,14 @@ from datagen.config import load_config
 from datagen.store.record import recorded_shards
 
 PARTS = 5
-"""Parts of a build that are told apart."""
+"""Number of rows of the table: parts of a build of about as many scenes each."""
 EVERY_S = 1.0
 """Time between two readings of the memory."""
 
 
 class Reading(NamedTuple):
-    """Time since the start in seconds, shards that are committed, and memory in MB of the build and of its largest
-    worker."""
+    """A moment of a build: seconds since its start, number of committed shards, and memory in MB of its own process
+    and of the largest worker."""
 
     seconds: float
     shards: int
@@ -43,39 +43,33 @@ class Reading(NamedTuple):
     worker_mb: float
 
 
-def memory_mb(process: int) -> float:
-    """Proportional set size of a process, MB; 0 if it has ended."""
+def memory_mb(process: psutil.Process) -> float:
+    """Proportional set size of a process, in thousands of kB as Linux counts them; 0 if it has ended."""
     try:
-        text = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii")
-    except (FileNotFoundError, ProcessLookupError):
+        return float(process.memory_full_info().pss) / 1.024e6
+    except psutil.NoSuchProcess:
         return 0.0
-    found = re.search(r"^Pss:\s+(\d+)", text, re.MULTILINE)
-    return int(found[1]) / 1e3 if found else 0.0
 
 
-def below(process: int) -> list[int]:
-    """All processes that a process has started, and those that they have."""
-    found = []
-    for children in Path(f"/proc/{process}/task").glob("*/children"):
-        try:
-            own = [int(child) for child in children.read_text(encoding="ascii").split()]
-        except (FileNotFoundError, ProcessLookupError):
-            continue
-        found += own + [further for child in own for further in below(child)]
-    return found
+def below(process: psutil.Process) -> list[psutil.Process]:
+    """All processes that a process has started, and those that they have; none if it has ended."""
+    try:
+        return list(process.children(recursive=True))
+    except psutil.NoSuchProcess:
+        return []
 
 
 def watched(command: Sequence[str], root: Path, every_s: float = EVERY_S) -> list[Reading]:
     """Readings of a build at `root` from its start to its end; raises CalledProcessError if it fails."""
     began, readings = time.perf_counter(), [Reading(0.0, 0, 0.0, 0.0)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as build:
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as build:
+        process = psutil.Process(build.pid)
         while build.poll() is None:
             time.sleep(every_s)
-            memory = memory_mb(build.pid), max(map(memory_mb, below(build.pid)), default=0.0)
+            memory = memory_mb(process), max(map(memory_mb, below(process)), default=0.0)
             readings.append(Reading(time.perf_counter() - began, len(recorded_shards(root)), *memory))
-        problem = build.stderr.read() if build.stderr else ""
     if build.returncode:
-        raise subprocess.CalledProcessError(build.returncode, command, stderr=problem)
+        raise subprocess.CalledProcessError(build.returncode, command)
     return readings
 
 

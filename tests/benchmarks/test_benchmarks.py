@@ -88,11 +88,11 @@ def test_a_long_build_is_told_by_its_parts() -> None:
 
 
 def test_a_long_build_is_watched(tmp_path: Path) -> None:
-    """Memory of a process and of one that it has started, and shards as they are committed."""
-    held = "import time; held = b'1' * 50_000_000; time.sleep({})"
+    """Readings tell the memory of a process and of one that it has started, and shards as they are committed."""
+    worker = "import time; held = b'1' * 50_000_000; time.sleep(1)"
     text = (
         "import pathlib, subprocess, sys, time\n"
-        f"worker = subprocess.Popen([sys.executable, '-c', {held.format(1)!r}])\n"
+        f"worker = subprocess.Popen([sys.executable, '-c', {worker!r}])\n"
         f"path = pathlib.Path({str(record_path(tmp_path, 0))!r})\n"
         "path.parent.mkdir(); path.touch(); worker.wait(); time.sleep(0.5)"
     )

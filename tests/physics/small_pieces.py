@@ -6,7 +6,8 @@ import numpy as np
 
 
 def small_pieces(corners: tuple[float, ...], n: int) -> np.ndarray:
-    """The middle values of n² equal pieces of a triangle, of what is linear between its corners."""
+    """(n²,) values in the middles of n² equal pieces of a triangle, of a quantity that is linear between the three
+    `corners`."""
     i, j = (k.ravel() for k in np.indices((n, n)))
     upright, turned = i + j < n, i + j < n - 1
     u = np.concatenate([i[upright] + 1 / 3, i[turned] + 2 / 3]) / n

@@ -98,7 +98,7 @@ def faint_plate() -> Case:
 
 
 ASIDE = np.array([2.5, -1.6, 1.3])
-"""A device past which nothing stands before the wall."""
+"""Place of a device that sees all of the wall."""
 FAR, SIDE, HIT, GAP_M = np.array([3.0, -1.0, 1.2]), 24, 17, 0.003
 """Of a scan: its device, laser points along a side, the index of that which lands on an object, and how far from its
 crease."""
@@ -154,7 +154,7 @@ def ball_in_wide_pixels() -> Case:
 
 
 def lobe_in_wide_pixels() -> Case:
-    """The light of a glossy box falls over a pixel of 16 cm to a fraction, which cosines do not tell."""
+    """A glossy box whose light falls to a fraction over a pixel of 16 cm, by its lobe and not by cosines."""
     scene = wall_and(box=trimesh.creation.box((0.3, 0.3, 0.3)).apply_translation((1.0, 0.2, 1.2)))
     scene = replace(scene, materials=(scene.materials[0], Phong(ALBEDO, exponent=60.0, specular=0.9)))
     pixels = square_pixels(np.array([[0.0, 0.5, 1.2], [0.0, 0.8, 0.9]]), 0.08)
