@@ -43,9 +43,13 @@ class Ended(SystemExit):
 def exit_with(command: Callable[[], int]) -> NoReturn:
     """Run a command as all that this process does, and exit with its status; signals end it with one line."""
     _received.clear()
+    is_over = False
 
     def end(number: int, _: object) -> None:
         _received.append(number)
+        if is_over:
+            # Nothing is left to be ended, and the alarm must not ring in a process that handles it no more.
+            return
         # Nobody has to know what a library could not finish.
         warnings.simplefilter("ignore", RuntimeWarning)
         logging.getLogger("asyncio").disabled = True
@@ -54,18 +58,26 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
         if not _is_clearing_up():
             raise Ended(128 + _received[0])
 
-    # Not as a KeyboardInterrupt: after one during an import Python may kill itself instead of returning a status.
     # A shell makes its background processes ignore Ctrl-C, and that stays so.
     handled = [number for number in (*WORDS, signal.SIGALRM) if signal.getsignal(number) != signal.SIG_IGN]
-    for number in handled:
-        signal.signal(number, end)
     sys.unraisablehook = _unraisable
     status = 0
     try:
-        status = command()
-    except BaseException:
-        if not _received:
-            raise
+        # A signal may come between any two steps until `is_over` is set. What `end` raises in this block ends it, and
+        # nothing more is raised while that is being handled.
+        try:
+            for number in handled:
+                # Not as a KeyboardInterrupt: after one during an import Python may kill itself instead of returning a
+                # status.
+                signal.signal(number, end)
+            status = command()
+            is_over = True
+        except BaseException:
+            is_over = True
+            if not _received:
+                raise
+    except Ended:
+        is_over = True
     finally:
         # One more signal, while Python ends, would print a traceback.
         for number in handled:
@@ -74,7 +86,7 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
         status = 128 + _received[0]
         # A terminal has printed ^C.
         print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
-        _say(f"{WORDS[_received[0]]}; {_at_end[0]}")
+        _say(f"{WORDS.get(_received[0], 'ended by an alarm')}; {_at_end[0]}")
     sys.exit(status)
 
 
