@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 import click
 
-from datagen.errors import CheckError, InputError, InputWarning, printable
+from datagen.errors import CheckError, InputError, printable
 
 WORDS: dict[int, str] = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated"}
 """Signal → what the last line of the process calls it."""
@@ -109,7 +109,7 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
     show_others = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, InputWarning):
+        if category.__module__.startswith("datagen."):
             _complain(f"warning: {message}", 0)
         else:
             show_others(message, category, *where, **more)

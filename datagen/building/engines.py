@@ -26,9 +26,11 @@ PATIENCE_S = 3.0
 """Seconds that a worker has to end after SIGTERM before it is killed: enough to sync a shard to a disk."""
 RETURN_S = 300.0
 """Seconds that a build waits for a lost Dask scheduler: a restart may have to queue in SLURM."""
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+OF_WORKERS = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "DATAGEN_SAID_OF_CACHE"), "1"
+)
 """Environment variables of worker processes: each uses one core, because a sum that is split over threads could round
-differently."""
+differently, and leaves it to this process to say where kernels are cached (`compiled.SAID`)."""
 
 _CONTEXT = multiprocessing.get_context("forkserver")
 """Workers fork from a server process that has imported the modules they need. The server's only thread is that of
@@ -47,11 +49,18 @@ def start_imports(*modules: str) -> None:
 
 @contextmanager
 def _starting() -> Iterator[None]:
-    """A context in which processes are started: with the environment of a worker, and without being interrupted."""
+    """A context in which processes are started: with the environment of a worker, and without being interrupted.
+    Raises `InputError` without a temporary folder for their socket, and if its path is too long."""
+    try:
+        tempfile.gettempdir()
+    except FileNotFoundError as error:
+        raise InputError(
+            f"TMPDIR: workers need a temporary folder ({error.strerror}); set TMPDIR to a folder that you may write to"
+        ) from None
     # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
     resource_tracker.ensure_running()
     try:
-        with _environment(ONE_THREAD), _signals_deferred():
+        with _environment(OF_WORKERS), _signals_deferred():
             yield
     except OSError as error:
         # Only an address that is too long for a socket has no number.
@@ -257,7 +266,7 @@ class DaskCluster:
         self.deaths: tuple[type[BaseException], ...] = (dask.KilledWorker, BrokenExecutor)
         self._cluster = None
         if scheduler is None:
-            with _environment(ONE_THREAD):
+            with _environment(OF_WORKERS):
                 # Dask starts the dashboard's server even without a dashboard. On a free port it disturbs no other
                 # cluster of this machine.
                 self._cluster = dask.LocalCluster(

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from datagen.errors import InputError
 from datagen.store.card import CARD
-from datagen.store.files import holds, read_whole, write_atomically
+from datagen.store.files import check_writable, holds, read_whole, write_atomically
 from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
 from datagen.store.prepare import WHEN_COMPLETE, forget_complete, is_fresh
@@ -32,12 +32,21 @@ class Output:
     @classmethod
     def at(cls, path: str | Path) -> Output:
         """The output that a path or an address names. The folder of an address lies below DATAGEN_STAGING, or in the
-        user's cache; it may be deleted when the build is done."""
+        user's cache; it may be deleted when the build is done. Raises `InputError` if that cannot be written."""
         target = location_of(path)
         if isinstance(target, Path):
             return cls(target, None)
-        cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        below = os.environ.get("DATAGEN_STAGING") or Path(cache, "datagen", "staging")
+        cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        below = Path(os.environ.get("DATAGEN_STAGING") or Path(cache, "datagen", "staging"))
+        remedy = "let the environment variable DATAGEN_STAGING name a folder that has room for the shards"
+        if below.parts[:1] == ("~",):
+            raise InputError(
+                f"output {target}: shards are made in a local folder, and this user has no home; {remedy}"
+            )
+        try:
+            check_writable(below)
+        except InputError as error:
+            raise InputError(f"output {target}: shards are made in a local folder; {error}; {remedy}") from None
         return cls(Path(below, target.bucket, *target.key.parts), target)
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from datagen.compiled import compiled
+from datagen.compiled import _make_private, compiled
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,25 +32,135 @@ def test_division_by_zero_does_not_hang_on_who_calls() -> None:
     assert ratio_for_another(1.0, 0.0) == np.inf == ratio(1.0, 0.0)
 
 
-def test_where_sources_cannot_be_written_beside_the_cache_is_the_users(tmp_path: Path) -> None:
-    """With a read-only installation, the first of two processes compiles into the user's cache, the second reads
-    that."""
-    package, home = tmp_path / "package", tmp_path / "home"
+PRINTED = """
+import sys
+{before}
+from kernels import twice
+print(twice(21), sum(twice.stats.cache_hits.values()), twice.stats.cache_path)
+"""
+
+
+def package_that_cannot_be_written(folder: Path) -> Path:
+    """A folder with a kernel. A file takes the place of the folder for caches: permissions would not stop the
+    superuser."""
+    package = folder / "package"
     package.mkdir()
     (package / "kernels.py").write_text(
         "from datagen.compiled import compiled\n@compiled()\ndef twice(x):\n    return 2 * x\n"
     )
-    # A file takes the place of the folder for caches: permissions would not stop the superuser.
     (package / "__pycache__").touch()
-    code = "from kernels import twice\nprint(twice(21), sum(twice.stats.cache_hits.values()), twice.stats.cache_path)"
-    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    environment |= {"PYTHONPATH": os.pathsep.join([str(package), str(ROOT)]), "HOME": str(home)}
-    environment |= {"XDG_CACHE_HOME": str(home / "cache"), "LOCALAPPDATA": str(home / "cache")}
-    said = [
-        subprocess.check_output([sys.executable, "-c", code], env=environment, text=True).split() for _ in range(2)
-    ]
-    assert [one[:2] for one in said] == [["42", "0"], ["42", "1"]]
-    assert Path(said[1][2]).is_relative_to(home)
+    return package
+
+
+def said_by(package: Path, home: Path, before: str = "", **environment: str) -> tuple[list[str], str]:
+    """What a process says that calls the kernel (value, hits of the cache, its folder), and its warnings.
+
+    before : lines that the process runs before it imports the kernel.
+    """
+    path = os.pathsep.join([str(package), str(ROOT)])
+    taken_over = {key: os.environ[key] for key in ("PATH", "OMP_NUM_THREADS") if key in os.environ}
+    environment = taken_over | {"PYTHONPATH": path, "HOME": str(home)} | environment
+    command = [sys.executable, "-c", PRINTED.format(before=before)]
+    (home.parent / "here").mkdir(exist_ok=True)
+    done = subprocess.run(
+        command, env=environment, cwd=home.parent / "here", capture_output=True, text=True, check=True
+    )
+    return done.stdout.split(), done.stderr
+
+
+def test_where_sources_cannot_be_written_beside_the_cache_is_the_users(tmp_path: Path) -> None:
+    """With a read-only installation, the first of two processes compiles into the user's cache, the second reads
+    that, without a word. Files that a power cut emptied are compiled and stored anew."""
+    package, home = package_that_cannot_be_written(tmp_path), tmp_path / "home"
+    cache = {"XDG_CACHE_HOME": str(home / "cache"), "LOCALAPPDATA": str(home / "cache")}
+    for hits in "01":
+        said, warned = said_by(package, home, **cache)
+        assert said[:2] == ["42", hits] and warned == ""
+    assert Path(said[2]).is_relative_to(home)
+    files = list(Path(said[2]).glob("kernels.twice*"))
+    assert len(files) == 2
+    for file in files:
+        file.write_bytes(b"")
+    for hits in "01":
+        said, warned = said_by(package, home, **cache)
+        assert said[:2] == ["42", hits] and warned == ""
+
+
+NO_USER = """
+import pwd
+def getpwuid(user):
+    raise KeyError(user)
+pwd.getpwuid = getpwuid
+del __import__("os").environ["HOME"]
+"""
+"""A container's user who is in no list of users."""
+FULL = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (64, resource.RLIM_INFINITY))
+"""
+"""No file may grow beyond 64 bytes, as on a full disk."""
+
+
+@pytest.mark.parametrize("before", ["", NO_USER], ids=["no home", "no user"])
+def test_without_a_home_the_cache_is_a_private_temporary_folder(tmp_path: Path, before: str) -> None:
+    """A process that starts another says so in one line, the other nothing. Nothing else is written."""
+    package, home, temporary = package_that_cannot_be_written(tmp_path), tmp_path / "home", tmp_path / "temporary"
+    home.touch()
+    temporary.mkdir()
+    unusable = {"TMPDIR": str(temporary), "NUMBA_CACHE_DIR": str(home / "numba")}
+    said, warned = said_by(package, home, before, **unusable)
+    private = temporary / f"datagen-{os.geteuid()}"
+    assert said[:2] == ["42", "0"] and Path(said[2]).parent == private
+    assert f"compiled kernels are kept in {private}" in warned and warned.count("Warning") == 1
+    assert private.stat().st_mode & 0o777 == 0o700 and list((tmp_path / "here").iterdir()) == []
+    assert said_by(package, home, before, DATAGEN_SAID_OF_CACHE="1", **unusable)[0][1] == "1"
+
+
+@pytest.mark.parametrize(
+    ("before", "why"),
+    [
+        ("__import__('tempfile').tempdir = '/proc/nothing'", "no folder for them can be written"),
+        ("open", "no folder for them can be written"),
+        (FULL, "File too large"),
+    ],
+    ids=["nowhere to write", "others may write there", "a full disk"],
+)
+def test_without_a_place_for_a_cache_kernels_are_compiled(tmp_path: Path, before: str, why: str) -> None:
+    package, home, temporary = package_that_cannot_be_written(tmp_path), tmp_path / "home", tmp_path / "temporary"
+    home.touch()
+    temporary.mkdir()
+    private = temporary / f"datagen-{os.geteuid()}"
+    if before == "open":
+        private.mkdir()
+        private.chmod(0o770)
+    said, warned = said_by(package, home, before, TMPDIR=str(temporary))
+    assert said[:2] == ["42", "0"] and warned.count("Warning") == 1
+    assert "compiled kernels cannot be stored (" in warned and why in warned
+    assert not list(temporary.rglob("*.nb[ic]*"))
+
+
+def test_a_folder_that_others_may_write_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """numba executes what a cache holds."""
+    folder = tmp_path / "private"
+    for _ in range(2):
+        _make_private(folder)
+    assert folder.stat().st_mode & 0o777 == 0o700
+    (tmp_path / "link").symlink_to(folder)
+    (tmp_path / "file").touch()
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o701)
+    for name in ("link", "file", "open"):
+        with pytest.raises(PermissionError):
+            _make_private(tmp_path / name)
+    with monkeypatch.context() as patch, pytest.raises(PermissionError):
+        patch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+        _make_private(folder)
+    tmp_path.chmod(0o777)
+    with pytest.raises(PermissionError):
+        _make_private(folder)
+    tmp_path.chmod(0o1777)
+    _make_private(folder)
 
 
 PACKAGE = {

@@ -176,3 +176,15 @@ def test_other_objects_are_left_alone(bucket: Bucket, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="must be s3://bucket/name") as refused:
             location_of(address)
         assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("home", "why"), [("~", "this user has no home"), ("/proc/nothing", "cannot be written")])
+def test_without_a_folder_to_stage_shards_in_a_build_names_the_remedy(
+    monkeypatch: pytest.MonkeyPatch, home: str, why: str
+) -> None:
+    """A container's user may have no home, or one that cannot be written."""
+    for name in ("DATAGEN_STAGING", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path.replace("~", home))
+    with pytest.raises(InputError, match=f"{ADDRESS}: .*{why}.*DATAGEN_STAGING"):
+        built()
