@@ -1,7 +1,8 @@
 """Compressed files, arrays and JSON that anybody may have written, read with a bound on the memory that they take.
 
 A few kilobytes can claim to hold terabytes: compressed text of one repeated letter, an array whose head states a
-shape that the file has no values for. Every size is compared with what the file has before memory is taken for it.
+shape that the file has no values for, a list of empty objects. Every size is compared with what the file has before
+memory is taken for it, and lists of numbers become arrays piece by piece.
 """
 
 from __future__ import annotations
@@ -10,9 +11,10 @@ import gzip
 import io
 import json
 import math
+import re
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
@@ -26,13 +28,15 @@ from datagen.errors import InputError, TooLargeError, printable
 MOST_BYTES = 2**31
 """Size of the largest file that is read, 2 GiB."""
 MOST_TEXT_BYTES = 2**28
-"""Size of the largest text that is read, decoded, 256 MiB; as Python's lists it takes up to twenty times as much."""
+"""Size of the largest text that is read, decoded, 256 MiB."""
 MOST_PACKED = 50
 """Largest ratio of decoded bytes to stored ones. Recorded histograms and tables reach 7, mostly empty ones some
 30."""
 DEFLATE_REACHES = 1100
-"""Ratio that deflate stays below: it reaches 1032. A scan with a photon or two a pixel comes close to it as a capture
-of y-tal or MATLAB, so for those it is the bound: what declares more is not in the file."""
+"""Ratio that deflate stays below: it reaches 1032. An array that declares more is not in the file."""
+CAPTURE_BYTES = 2**28
+"""Decoded bytes of a capture of y-tal or MATLAB that are read whatever that ratio is, 256 MiB: a scan of 128 × 128
+points and 4096 bins in single precision, which compresses to a thousandth with a photon or two a point."""
 ALWAYS_BYTES = 4 * 2**20
 """Decoded bytes that are read whatever that ratio is: they harm nobody, and a file of zeros is small."""
 _MOST_HEAD_BYTES = 10_000
@@ -72,13 +76,153 @@ def read_text(path: Path) -> bytearray:
             if len(content) > MOST_TEXT_BYTES:
                 raise TooLargeError(f"{path}: more than {MOST_TEXT_BYTES} bytes of text; cut it into smaller files")
             if packed:
-                _check_ratio(path, len(content), stored.tell())
+                check_expansion(str(path), len(content), stored.tell())
     return content
 
 
-def read_json(path: Path) -> Any:
-    """The value of a JSON file, which may be compressed; raises as `read_text`, and errors of `json`."""
-    return json.loads(read_text(path))
+def check_expansion(where: str, decoded: int, stored: int, always_bytes: int = ALWAYS_BYTES) -> None:
+    """Raise `TooLargeError` where `decoded` bytes are more than `MOST_PACKED` times the `stored` ones, and more than
+    `always_bytes`, which the caller has a use for whatever that ratio is."""
+    if expands_too_far(decoded, stored, always_bytes):
+        raise TooLargeError(
+            f"{where}: decodes to {_megabytes(decoded)} or more, {_megabytes(stored)} are stored; at most "
+            f"{MOST_PACKED} times as much is read beyond {_megabytes(always_bytes)}; if that is meant, store it "
+            "uncompressed"
+        )
+
+
+def expands_too_far(decoded: int, stored: int, always_bytes: int = ALWAYS_BYTES) -> bool:
+    """Whether `check_expansion` refuses these sizes."""
+    return decoded > max(always_bytes, MOST_PACKED * stored)
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.3g} MB"
+
+
+_STRING = rb'"(?:[^"\\]++|\\.)*+"'
+_BRACKETS = re.compile(_STRING + rb"|[\[\]{}]", re.DOTALL)
+_SCALAR = re.compile(_STRING + rb'|[^\s,:\[\]{}"]++', re.DOTALL)
+_SPACE = re.compile(rb"[ \t\n\r]*+")
+_NUMERIC = re.compile(rb"[-+0-9.eE,\[\] \t\n\r]*+")
+_ROW = re.compile(rb"\[([^\[\]]*+)\]")
+_TABLE = re.compile(rb"\[\s*+(?:\[[^\[\]]*+\]\s*+(?:,\s*+(?=\[)|(?=\])))++\]")
+_MOST_IN_A_LIST = 2**20
+"""Most numbers of one list, which Python holds at once: more than a histogram has bins."""
+
+
+def read_records(path: Path, wanted: Sequence[str]) -> Iterator[dict[str, NDArray[Any]]]:
+    """The objects of a JSON list, which may be compressed, one after the other: those of the `wanted` keys that an
+    object has, each a number, a list of numbers or a list of equally long lists of them.
+
+    An array has the narrowest of some dtypes that holds its numbers exactly. Beside the text and the arrays that the
+    caller keeps, memory is taken for one list of numbers at a time; what is not wanted is passed over.
+
+    Raises as `read_text`, and `ValueError` for other JSON.
+    """
+    text = read_text(path)
+    at = _expected(text, len(b"\xef\xbb\xbf") if text.startswith(b"\xef\xbb\xbf") else 0, b"[", "a list of objects")
+    at, more = _item_follows(text, at, b"]")
+    while more:
+        at = _expected(text, at, b"{", "a list of objects")
+        found = dict[str, NDArray[Any]]()
+        at, inside = _item_follows(text, at, b"}")
+        while inside:
+            begin, end = _value(text, at)
+            key = json.loads(text[begin:end])
+            if not isinstance(key, str):
+                raise ValueError("a key is needed where an object has something else")
+            begin, at = _value(text, _expected(text, end, b":", "a key with a value"))
+            if key in wanted:
+                found[key] = _numbers(text, begin, at, key)
+            at, inside = _next_follows(text, at, b"}")
+        yield found
+        at, more = _next_follows(text, at, b"]")
+    if _SPACE.fullmatch(text, at) is None:
+        raise ValueError("more follows after its list")
+
+
+def _expected(text: bytearray, at: int, sign: bytes, what: str) -> int:
+    """The offset after a sign, which must come next; raises `ValueError` with what is needed."""
+    at = _after_space(text, at)
+    if text[at : at + 1] != sign:
+        raise ValueError(f"{what} is needed")
+    return at + 1
+
+
+def _after_space(text: bytearray, at: int) -> int:
+    found = _SPACE.match(text, at)
+    return at if found is None else found.end()
+
+
+def _item_follows(text: bytearray, at: int, end: bytes) -> tuple[int, bool]:
+    """After an opening bracket: the offset of the first item, and True; or that after the closing one, and False."""
+    at = _after_space(text, at)
+    return (at + 1, False) if text[at : at + 1] == end else (at, True)
+
+
+def _next_follows(text: bytearray, at: int, end: bytes) -> tuple[int, bool]:
+    """After an item: the offset of the next item, and True; or that after the closing bracket, and False."""
+    at = _after_space(text, at)
+    sign = bytes(text[at : at + 1])
+    if sign not in (b",", end) or not sign:
+        raise ValueError("ends within a list, or lacks a comma")
+    return at + 1, sign == b","
+
+
+def _value(text: bytearray, at: int) -> tuple[int, int]:
+    """(begin, end) of the value that comes next."""
+    begin = _after_space(text, at)
+    if text[begin : begin + 1] not in (b"[", b"{"):
+        scalar = _SCALAR.match(text, begin)
+        if scalar is None:
+            raise ValueError("ends where a value is needed")
+        return begin, scalar.end()
+    depth = 0
+    for sign in _BRACKETS.finditer(text, begin):
+        first = text[sign.start()]
+        depth += first in b"[{"
+        depth -= first in b"]}"
+        if depth == 0:
+            return begin, sign.end()
+    raise ValueError("ends within a list")
+
+
+def _numbers(text: bytearray, begin: int, end: int, key: str) -> NDArray[Any]:
+    """The numbers of the value at begin … end of a text."""
+    if _NUMERIC.fullmatch(text, begin, end) is None:
+        raise ValueError(f"{key!r} holds more than finite numbers")
+    if text[begin : begin + 1] != b"[" or text.count(b"[", begin, end) == 1:
+        return _narrow(_list(text, begin, end, key))
+    if _TABLE.fullmatch(text, begin, end) is None:
+        raise ValueError(f"{key!r} is no list of lists of numbers")
+    rows = _ROW.finditer(text, begin + 1, end)
+    first = _list(text, *next(rows).span(), key)
+    table = np.empty((text.count(b"[", begin, end) - 1, len(first)))
+    table[0] = first
+    for number, row in enumerate(rows, 1):
+        values = _list(text, *row.span(), key)
+        if len(values) != len(first):
+            raise ValueError(f"{key!r} has lists of {len(first)} and of {len(values)} numbers")
+        table[number] = values
+    return _narrow(table)
+
+
+def _list(text: bytearray, begin: int, end: int, key: str) -> NDArray[np.float64]:
+    """The numbers of one list, or the number alone."""
+    if text.count(b",", begin, end) >= _MOST_IN_A_LIST:
+        raise TooLargeError(f"{key!r}: a list of more than {_MOST_IN_A_LIST} numbers; cut it into parts")
+    return np.array(json.loads(text[begin:end]), np.float64)
+
+
+def _narrow(values: NDArray[np.float64]) -> NDArray[Any]:
+    """The values in the narrowest of some dtypes that holds them exactly."""
+    for dtype in (np.uint16, np.int32, np.float32):
+        with np.errstate(all="ignore"):
+            narrow = values.astype(dtype)
+        if np.array_equal(narrow, values):
+            return narrow
+    return values
 
 
 def read_npy(path: Path) -> NDArray[Any]:
@@ -96,7 +240,7 @@ def read_npz(
 
     always_bytes : decoded bytes that the caller has a use for, whatever their ratio to the stored ones is.
 
-    Raises `TooLargeError` as `read_npy`, and for arrays of more than `MOST_PACKED` times what the file has; errors of
+    Raises `TooLargeError` as `read_npy` and `check_expansion` do; errors of
     `zipfile` and `ValueError` for a damaged file.
     """
     size = _size(path)
@@ -104,7 +248,7 @@ def read_npz(
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         chosen = {name: members[name] for name in wanted if name in members}
         # Members may share their bytes, so all of them together are compared with the whole file.
-        _check_ratio(path, sum(info.file_size for info in chosen.values()), size, always_bytes)
+        check_expansion(str(path), sum(info.file_size for info in chosen.values()), size, always_bytes)
         return {name: _member(path, archive, info) for name, info in chosen.items()}, list(members)
 
 
@@ -146,10 +290,3 @@ def _size(path: Path) -> int:
     if size > MOST_BYTES:
         raise TooLargeError(f"{path}: {size} bytes, at most {MOST_BYTES} are read; cut it into parts")
     return size
-
-
-def _check_ratio(path: Path, decoded: int, stored: int, always_bytes: int = ALWAYS_BYTES) -> None:
-    if decoded > max(always_bytes, MOST_PACKED * stored):
-        raise TooLargeError(
-            f"{path}: decodes to more than {MOST_PACKED} times its size; if that is meant, store it uncompressed"
-        )

@@ -5,15 +5,19 @@ from __future__ import annotations
 import gzip
 import importlib
 import io
+import json
+import struct
 import sys
 import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 import yaml
 import zarr
 from limits import little_memory
@@ -22,6 +26,9 @@ from numpy.lib import format as npy
 
 import datagen as dg
 from datagen.cli import run
+from datagen.config.imported import ImportOptions
+from datagen.formats.matlab import read_mat
+from datagen.formats.tal import read_tal
 from datagen.untrusted import read_npy, read_npz
 
 pytestmark = [
@@ -131,6 +138,42 @@ def tal(**other: Any) -> Callable[[Path], list[str]]:
     return command
 
 
+def tal_zeros(chunks: int, shape: tuple[int, ...], chunk: tuple[int, ...]) -> Callable[[Path], list[str]]:
+    """An H of zeros in chunks that compress to a thousandth, each of which is written as it is stored."""
+
+    def command(folder: Path) -> list[str]:
+        arguments = tal()(folder)
+        with importlib.import_module("h5py").File(folder / "capture.hdf5", "a") as file:
+            del file["H"]
+            limits = (None, *shape[1:])
+            data = file.create_dataset("H", shape, "f4", chunks=chunk, maxshape=limits, compression="gzip")
+            packed = zlib.compress(bytes(4 * int(np.prod(chunk))))
+            for number in range(chunks):
+                data.id.write_direct_chunk((number * chunk[0], 0, 0), packed)
+        return arguments
+
+    return command
+
+
+def matlab(kind: int, shape: tuple[int, ...], name: bytes = b"rect_data") -> Callable[[Path], list[str]]:
+    """A compressed array of zeros in a file of MATLAB, stored as numbers of one byte."""
+
+    def element(of: int, content: bytes) -> bytes:
+        return struct.pack("<II", of, len(content)) + content + bytes(-len(content) % 8)
+
+    def command(folder: Path) -> list[str]:
+        count = int(np.prod(shape))
+        head = element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack(f"<{len(shape)}i", *shape))
+        head += element(1, name) + struct.pack("<II", 2, count)
+        packer = zlib.compressobj()
+        packed = packer.compress(struct.pack("<II", 14, len(head) + count) + head)
+        packed += b"".join(packer.compress(bytes(2**20)) for _ in range(-(-count // 2**20))) + packer.flush()
+        whole = bytes(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed
+        return ["import", str(written(folder / "m.mat", whole)), str(folder / "out"), "--bin", "4ps", "--wall", "2m"]
+
+    return command
+
+
 HUGE = declared((10**9, 9, 128))
 BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "frames: compressed JSON": frames("a.json.gz", words),
@@ -140,11 +183,25 @@ BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "frames: compressed zeros": zipped_frames(hists=zeros),
     "frames: a long head": zipped_frames(hists=long_head),
     "frames: another method": zipped_frames(zipfile.ZIP_LZMA, hists=declared((1, 9, 128), bytes(9 * 128 * 8))),
+    "frames: a frame of empty lists": frames(
+        "a.json.gz", lambda: gzip.compress(b'[{"hists": [' + b"[]," * 2**23 + b"[]]}]")
+    ),
+    "frames: a frame of one list": frames(
+        "a.json.gz", lambda: gzip.compress(b'[{"hists": [[' + b"0," * 2**23 + b"0]]}]")
+    ),
+    "frames: objects beside histograms": frames(
+        "a.json.gz", lambda: gzip.compress(b'[{"more": [' + b"{}," * 2**21 + b'{}], "hists": [[1, 2]]}]')
+    ),
     "edges: compressed commas": edges("a.csv.gz", gzip.compress(b"0" + b",0" * 20_000_000)),
     "edges: a long text": edges("a.csv", b"0," + b"0" * 10**6),
     "edges: a shape without values": edges("a.npz", edges_ps=declared((10**12,))),
     "map of zones: a shape without values": map_of_zones(extent=declared((4,), bytes(32)), weights=HUGE),
     "y-tal: aliases": tal(scene_info=f"{ALIASES}volume: {{center: *g, size: *g}}\n"),
+    "y-tal: compressed zeros": tal_zeros(20, (20 * 2**20, 3, 3), (2**20, 3, 3)),
+    "y-tal: a chunk larger than its array": tal_zeros(0, (8, 3, 3), (2**23, 3, 3)),
+    "y-tal: many numbers for one": tal(delta_t=np.zeros(2**23)),
+    "MATLAB: compressed zeros": matlab(9, (64, 64, 70_000)),
+    "MATLAB: many numbers for one": matlab(6, (2**12, 2**12), b"width"),
     "y-tal: compressed text": tal(scene_info=np.array([b"x" * 2**28])),
 }  # fmt: skip
 """Name → what writes the file into a folder and returns the command that reads it."""
@@ -183,6 +240,10 @@ def test_a_bomb_of_predictions_is_one_line(tmp_path: Path, capsys: pytest.Captur
     suite = made_suite(tmp_path / "made.zarr")
     scene = declared((10,), np.arange(10).tobytes(), "<i8")
     refused(["score", str(suite), str(zipped(tmp_path / "a.npz", scene=scene, depth=HUGE))], capsys)
+    chunk = zarr.create_group(tmp_path / "b.zarr")
+    chunk.create_array("scene", data=np.arange(10))
+    chunk.create_array("depth", shape=(10, 4, 4), chunks=(10, 1000, 1000), dtype="f4")[:] = 1.0
+    refused(["score", str(suite), str(tmp_path / "b.zarr")], capsys)
     group = zarr.create_group(tmp_path / "c.zarr")
     group.create_array("scene", data=np.arange(10))
     group.create_array("depth", shape=(10, 10**6, 10**6), chunks=(1, 1000, 1000), dtype="f4")
@@ -205,3 +266,52 @@ def test_what_numpy_writes_is_read_as_numpy_reads_it(tmp_path: Path, dtype: str)
             np.testing.assert_array_equal(found[name], array, strict=True)
     np.save(tmp_path / "a.npy", value)
     np.testing.assert_array_equal(read_npy(tmp_path / "a.npy"), value, strict=True)
+
+
+def packed_tal(folder: Path) -> tuple[Path, int]:
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
+    tal()(folder)
+    counts = np.random.default_rng(0).poisson(0.1, (2**17, 3, 3)).astype(np.float32)
+    with h5py.File(folder / "capture.hdf5", "a") as file:
+        del file["H"]
+        file.create_dataset("H", data=counts, compression="gzip")
+    return folder / "capture.hdf5", counts.nbytes
+
+
+def packed_matlab(folder: Path) -> tuple[Path, int]:
+    counts = np.random.default_rng(0).poisson(0.1, (16, 16, 2**13)).astype(np.float32) + 0.5
+    scipy.io.savemat(folder / "m.mat", {"rect_data": counts, "width": 0.4}, do_compression=True)
+    return folder / "m.mat", counts.nbytes
+
+
+def decimals(folder: Path) -> tuple[Path, int]:
+    counts = np.random.default_rng(0).poisson(50, (60, 9, 128)) + 0.1
+    text = json.dumps([{"hists": frame.tolist(), "note": ["{", {"a": [1, "]"]}]} for frame in counts])
+    np.testing.assert_array_equal(dg.read_frames(written(folder / "a.json", text.encode())).histograms, counts)
+    return folder / "a.json", len(text) + counts.nbytes
+
+
+def whole_numbers(folder: Path) -> tuple[Path, int]:
+    counts = np.random.default_rng(0).poisson(50, (200, 9, 128)).astype(np.uint8)
+    np.savez_compressed(folder / "a.npz", hists=counts, ambient=np.ones((200, 9)))
+    return folder / "a.npz", 8 * counts.size
+
+
+@pytest.mark.parametrize("write", [packed_tal, packed_matlab, decimals, whole_numbers])
+def test_reading_takes_twice_what_a_capture_of_that_shape_needs(
+    write: Callable[[Path], tuple[Path, int]], tmp_path: Path
+) -> None:
+    """The array as the file has it, or for frames its text and the histograms in double precision."""
+    path, needed = write(tmp_path)
+    options = ImportOptions(bin_width_ps=None if path.suffix == ".hdf5" else 4.0)
+    tracemalloc.start()
+    try:
+        if path.suffix in (".json", ".npz"):
+            dg.read_frames(path)
+        else:
+            (read_mat if path.suffix == ".mat" else read_tal)(path, options)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    # A piece that is decompressed, and the like.
+    assert peak < 2 * needed + 4 * 2**20, f"{peak / 1e6:.1f} MB, {needed / 1e6:.1f} MB needed"

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
-from datagen.untrusted import one_line, read_json, read_npy, read_npz
+from datagen.untrusted import one_line, read_npy, read_npz, read_records
 
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
 
@@ -100,41 +101,61 @@ def _with_ambient(path: Path, counts: Floats, ambient: Floats) -> Floats:
             f"{path}: ambient of shape {ambient.shape} for hists of shape {counts.shape}; one finite number ≥ 0 for "
             "each zone of each frame is needed, in counts a bin"
         )
-    whole = counts + ambient[:, :, None]
-    if (counts % 1 == 0).all():
-        # A chip counts whole events and subtracts a mean.
-        whole = np.rint(whole)
+    are_whole, whole = all_whole(counts), np.empty_like(counts)
+    for frame, light, total in zip(counts, ambient, whole, strict=True):
+        np.add(frame, light[:, None], out=total)
+        if are_whole:
+            # A chip counts whole events and subtracts a mean.
+            np.rint(total, out=total)
     if (whole < 0).any():
         raise InputError(
             f"{path}: hists + ambient has values down to {whole.min():.4g}; ambient must be what was subtracted from "
             "each bin, in the unit of hists"
         )
-    return np.asarray(whole)
+    return whole
+
+
+def all_whole(histograms: Floats) -> bool:
+    """Whether all counts of histograms (n, zones, bins) are whole numbers."""
+    # Frame by frame, since remainders of all would take as much memory as the histograms.
+    return all((frame % 1 == 0).all() for frame in histograms)
+
+
+_KEYS = {"histograms": "hists", "poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist",
+         "ambient": "ambient"}  # fmt: skip
+"""Attribute of `Frames` → its key in files."""
 
 
 def _json(path: Path) -> dict[str, Any]:
-    listed = read_json(path)
-    if not isinstance(listed, list) or not listed:
+    listed = list(read_records(path, [*_KEYS.values()]))
+    if not listed:
         raise ValueError("a list of frames is needed")
-
-    def of(key: str) -> Floats | None:
+    found = {}
+    for name, key in _KEYS.items():
         having = sum(key in frame for frame in listed)
         if having not in (0, len(listed)):
             raise ValueError(f"{key!r} is in {having} of {len(listed)} frames; all or none must have it")
-        return np.array([frame[key] for frame in listed], np.float64) if having else None
-
-    if (histograms := of("hists")) is None:
+        if having:
+            found[name] = _stacked(key, [frame.pop(key) for frame in listed])
+    if "histograms" not in found:
         raise ValueError("no frame has 'hists'")
-    return {
-        "histograms": histograms, "poses": of("pose"), "distances_m": of("dist_to_plane"),
-        "reference": of("reference_hist"), "ambient": of("ambient"),
-    }  # fmt: skip
+    return found
+
+
+def _stacked(key: str, values: list[NDArray[Any]]) -> Floats:
+    """(n, …) the values of n frames, which must have one shape."""
+    stacked = np.empty((len(values), *values[0].shape))
+    for number, value in enumerate(values):
+        if value.shape != stacked.shape[1:]:
+            raise ValueError(f"{key!r} has the shape {stacked.shape[1:]} in frame 0, {value.shape} in {number}")
+        stacked[number] = value
+    return stacked
 
 
 def _numpy(path: Path) -> dict[str, Any]:
-    names = {"poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist", "ambient": "ambient"}
     if path.suffix == ".npy":
         return {"histograms": read_npy(path).astype(np.float64)}
-    loaded, _ = read_npz(path, ("hists", *names.values()))
-    optional = {name: np.asarray(loaded[key], np.float64) for name, key in names.items() if key in loaded}
-    return {"histograms": np.asarray(loaded["hists"], np.float64), **optional}
+    loaded, _ = read_npz(path, [*_KEYS.values()])
+    if "hists" not in loaded:
+        raise ValueError("has no 'hists'")
+    return {name: np.asarray(loaded.pop(key), np.float64) for name, key in _KEYS.items() if key in loaded}

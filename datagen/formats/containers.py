@@ -16,10 +16,16 @@ from numpy.typing import NDArray
 from datagen.errors import InputError, TooLargeError, printable
 from datagen.formats.matlab5 import read_matlab5
 from datagen.records.arrays import Floats
-from datagen.untrusted import DEFLATE_REACHES, one_line
+from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, one_line
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
+ONE = 1
+"""Most numbers of a variable that is a single one."""
+POINTS = 3 * 2**22
+"""Most numbers of a variable of points or normals: three for each of as many points as a scan may have."""
+VALUES = LARGEST_BYTES
+"""Most numbers of a variable of counts or light."""
 LONGEST_TEXT = 2**20
 FACING = np.array([0.0, 0.0, 1.0])
 """Normal of a relay wall in the plane of x and y."""
@@ -101,32 +107,60 @@ def is_hdf5(path: Path) -> bool:
     return head.startswith(signature) or head[512:520] == signature
 
 
-def hdf5_content(path: Path, wanted: tuple[str, ...], matlab: bool = False) -> Content:
+def hdf5_content(path: Path, wanted: Mapping[str, int], matlab: bool = False) -> Content:
     """The variables `wanted` at the root of an HDF5 file.
 
+    wanted : name → the most numbers that a variable of this name has: `ONE`, `POINTS` or `VALUES`.
     matlab : the file is MATLAB's, which stores axes in reverse order; they are turned back.
 
-    Raises `InputError` for a file that cannot be read, and for variables that are no numbers, lie in another file, or
-    are larger than `LARGEST_BYTES` or than the file can hold.
+    Raises `InputError` for a file that cannot be read, and for variables that are no numbers, lie in another file,
+    have more numbers than is `wanted`, are larger than `LARGEST_BYTES` or than the file can hold, or are together
+    more than `check_expansion` lets pass.
     """
     kind = "MATLAB 7.3" if matlab else "HDF5"
     arrays, texts = dict[str, NDArray[Any]](), dict[str, str]()
     with one_line(f"{path}: cannot be read as {kind}"), h5py().File(path, "r") as file:
         # h5py returns a name that is not UTF-8 as bytes.
         names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
-        for name in wanted:
-            if name not in names:
-                continue
-            found = _hdf5_value(path, file, name)
-            if isinstance(found, str):
-                texts[name] = found
-            elif found is not None:
-                arrays[name] = found.T if matlab else found
+        numbers = dict[str, Any]()
+        for name in (name for name in wanted if name in names):
+            data = _hdf5_data(path, file, name)
+            if isinstance(data, str):
+                texts[name] = data
+            elif data is not None:
+                numbers[name] = data
+        _check_hdf5_sizes(path, numbers, wanted)
+        for name, data in numbers.items():
+            found = np.zeros(0) if data.attrs.get("MATLAB_empty") else np.asarray(data[()])
+            arrays[name] = found.T if matlab else found
     return Content(path, arrays, texts, names)
 
 
-def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
-    """A variable of an open file as numbers or text; None if it is empty. Raises as `hdf5_content` does."""
+def _check_hdf5_sizes(path: Path, numbers: Mapping[str, Any], wanted: Mapping[str, int]) -> None:
+    """Raise as `hdf5_content` does for datasets of h5py (name → dataset) that are too large, before any is read."""
+    declared = stored = 0
+    # Chunks of a damaged file may share their bytes, so what they store is compared with the file, too.
+    file_bytes = path.stat().st_size
+    for name, data in numbers.items():
+        size, count = data.size * data.dtype.itemsize, wanted[name]
+        if data.size > count:
+            raise InputError(f"{path}: {name}: shape {data.shape}; at most {count} numbers are read")
+        if size > LARGEST_BYTES:
+            raise InputError(f"{path}: {name}: shape {data.shape}, {size} bytes; at most {LARGEST_BYTES} are read")
+        there = min(data.id.get_storage_size(), file_bytes)
+        if size > 0 and DEFLATE_REACHES * there < size:
+            raise InputError(
+                f"{path}: {name}: {size} bytes declared ({data.shape}) and {there} there; write the file anew"
+            )
+        # A chunk is decoded as a whole, and may be larger than the array.
+        declared += max(size, math.prod(data.chunks or ()) * data.dtype.itemsize)
+        stored += there
+    check_expansion(str(path), declared, min(stored, file_bytes), CAPTURE_BYTES)
+
+
+def _hdf5_data(path: Path, file: Any, name: str) -> Any | str | None:
+    """A variable of an open file: a dataset of h5py that holds numbers, or text; None if it is empty. Raises as
+    `hdf5_content` does."""
     lib = h5py()
     if not isinstance(file.get(name, getlink=True), lib.HardLink):
         raise InputError(f"{path}: {name}: is a link to somewhere else; copy what it stands for into the file")
@@ -148,23 +182,14 @@ def _hdf5_value(path: Path, file: Any, name: str) -> NDArray[Any] | str | None:
         return str(text if data.shape == () else text[0])
     if data.dtype.kind not in "fiub":
         raise InputError(f"{path}: {name}: holds {data.dtype}, real numbers are needed")
-    size = math.prod(data.shape) * data.dtype.itemsize
-    if size > LARGEST_BYTES:
-        raise InputError(f"{path}: {name}: shape {data.shape}, {size} bytes; at most {LARGEST_BYTES} are read")
-    stored_bytes = data.id.get_storage_size()
-    if size > 0 and DEFLATE_REACHES * stored_bytes < size:
-        raise InputError(
-            f"{path}: {name}: {size} bytes declared ({data.shape}) and {stored_bytes} there; write the file anew"
-        )
-    if data.attrs.get("MATLAB_empty"):
-        return np.zeros(0)
-    return np.asarray(data[()])
+    return data
 
 
-def matlab_content(path: Path, wanted: tuple[str, ...]) -> Content:
-    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order. Raises as `hdf5_content`."""
+def matlab_content(path: Path, wanted: Mapping[str, int]) -> Content:
+    """The variables `wanted` of a MATLAB file of any version, axes in MATLAB's order; takes and raises what
+    `hdf5_content` does."""
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
     with one_line(f"{path}: cannot be read as MATLAB"):
-        arrays, names = read_matlab5(path, wanted, LARGEST_BYTES // 8)
+        arrays, names = read_matlab5(path, {name: min(count, LARGEST_BYTES // 8) for name, count in wanted.items()})
     return Content(path, arrays, {}, tuple(names))

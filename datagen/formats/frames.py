@@ -16,6 +16,7 @@ from datagen.capture.device_optics import capture_at
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
+from datagen.devices.frames import all_whole
 from datagen.errors import InputError
 from datagen.records import OnSurfaces, Sample, Scalar
 from datagen.records.sample import geometry_fields
@@ -67,7 +68,7 @@ def config_of_frames(
     files, most = [], 0.0
     for path in paths:
         frames = recorded_by(path, read_frames(path), sensor, lasers * pixels)
-        if (frames.histograms % 1 != 0).any():
+        if not all_whole(frames.histograms):
             raise InputError(
                 f"{path}: hists holds fractions, which are no counts; multiply hists (and ambient) by what the "
                 "sensor divided by, such as the number of its SPADs in use, and round"

@@ -137,7 +137,9 @@ class ImportedSamples:
         recording = _recording(path, file.format, layout.options, delays)
         field = config.store.fields[0]
         dtype = config.store.histogram_dtype if field == "histogram" else "float32"
-        recording = replace(recording, values=recording.values.astype(dtype)).in_order()
+        # In order first: then what was read is let go before the stored values are made.
+        recording = recording.in_order()
+        recording = replace(recording, values=recording.values.astype(dtype, copy=False))
         total = recording.values.sum(dtype=np.float64)
         parameters: dict[str, Scalar] = {
             "capture.file": file.name,

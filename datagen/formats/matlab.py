@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.formats.containers import FACING, Content, matlab_content
+from datagen.formats.containers import FACING, ONE, POINTS, VALUES, Content, matlab_content
 from datagen.formats.recording import (
     SAME,
     UNKNOWN,
@@ -42,11 +42,15 @@ from datagen.formats.recording import (
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
+from datagen.untrusted import CAPTURE_BYTES, expands_too_far
 
 _LARGEST_BYTES = 2**31 - 1
 """Largest variable of version 5 that MATLAB reads."""
-_LISTED = ("trans_data", "camera_points", "laser_points", "camera_normals", "laser_normals")
-_GRID = ("meas", "rect_data", "tofgrid", "wall_size", "width", "grid_points", "grid_normals")
+_WANTED = {
+    "meas": VALUES, "rect_data": VALUES, "tofgrid": POINTS, "wall_size": 2, "width": ONE, "grid_points": POINTS,
+    "grid_normals": POINTS, "trans_data": VALUES, "camera_points": POINTS, "laser_points": POINTS,
+    "camera_normals": POINTS, "laser_normals": POINTS, "bin_resolution": ONE,
+}  # fmt: skip
 _AXES = {"meas": "yxt", "rect_data": "xyt"}
 
 
@@ -63,7 +67,11 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
                 f"scene {scene.index}: {name} would have {value.nbytes} bytes, and a MATLAB variable has at "
                 f"most {_LARGEST_BYTES}; take --format h5 or npz"
             )
-    savemat(path, variables | {"bin_resolution": m.time.width_s, "scene": scene.index}, do_compression=True)
+    written = variables | {"bin_resolution": m.time.width_s, "scene": scene.index}
+    savemat(path, written, do_compression=True)
+    if expands_too_far(sum(value.nbytes for value in variables.values()), path.stat().st_size, CAPTURE_BYTES):
+        # A scan of few photons packs so far that it would not be read again.
+        savemat(path, written, do_compression=False)
 
 
 def _is_on_flat_wall(m: Recording) -> bool:
@@ -121,7 +129,7 @@ def read_mat(path: Path, options: ImportOptions, delays: Path | None = None) -> 
 
     Raises `InputError`, one line, for a file that is damaged or lacks something that no option states.
     """
-    content = matlab_content(path, (*_LISTED, *_GRID, "bin_resolution"))
+    content = matlab_content(path, _WANTED)
     if "trans_data" in content.names:
         return _read_pairs(content, options)
     name = next((name for name in _AXES if name in content.names), None)
@@ -192,7 +200,7 @@ def _read_shifts(
     if delays is not None:
         if "tofgrid" in content.arrays:
             raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
-        content = matlab_content(delays, ("tofgrid",))
+        content = matlab_content(delays, {"tofgrid": POINTS})
     elif "tofgrid" not in content.arrays:
         if name == "meas" and options.delays is None:
             raise InputError(

@@ -19,10 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.untrusted import DEFLATE_REACHES
+from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion
 
 _HEAD = 4096
 """First bytes of a variable, which must contain its name and sizes."""
+_PACKED_BYTES, _PIECE_BYTES = 2**16, 2**20
+"""Bytes that are decompressed at once, before and after."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _NO_NUMBERS = {1: "cell array", 2: "structure", 3: "object", 4: "text", 5: "sparse array"}
@@ -35,7 +37,8 @@ _MOST_AXES = 32
 class Variable:
     """The head of a variable.
 
-    kind : MATLAB's number of its class. at : offset of the numbers within the element.
+    kind : MATLAB's number of its class. at : offset of the numbers within the element. bytes : length of the numbers
+    as they are stored, which may be in a narrower type than MATLAB has.
     """
 
     name: str
@@ -43,16 +46,20 @@ class Variable:
     is_complex: bool
     shape: tuple[int, ...]
     at: int
+    bytes: int
 
 
-def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
+def read_matlab5(path: Path, wanted: Mapping[str, int]) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
     """Name → array of the wanted variables, axes in MATLAB's order, and the names of all variables.
 
+    wanted : name → the most numbers that a variable of this name has.
+
     The dtype is that of the file, which may store whole numbers in a narrower type than MATLAB has. Raises
-    `InputError` or `ValueError` for wanted variables that are damaged, no array of real numbers, or larger than
-    `largest` numbers.
+    `InputError` or `ValueError` for wanted variables that are damaged, no array of real numbers, have more numbers
+    than is wanted, or are together more than `check_expansion` lets pass; no value has been read then.
     """
     arrays, names = dict[str, NDArray[Any]](), list[str]()
+    chosen, declared, stored = list[tuple[bool, int, int, Variable]](), 0, 0
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content[124:128] != b"\x00\x01IM":
             raise InputError(f"{path}: is no MATLAB file of version 5 or 7.3; save it with -v7 or -v7.3")
@@ -61,15 +68,17 @@ def read_matlab5(path: Path, wanted: tuple[str, ...], largest: int) -> tuple[Map
             if not compressed and kind != _MATRIX:
                 continue
             head = content[begin : min(end, begin + _HEAD)]
-            found = _variable(_unpacked(head, _HEAD)[8:] if compressed else head)
+            found = _variable(_unpacked(head, _HEAD)[8:] if compressed else memoryview(head))
             names.append(found.name)
             if found.name in wanted:
-                _check(path, found, largest, end - begin)
-                matrix = content[begin:end]
-                if compressed:
-                    matrix = _unpacked(matrix, 8 + _HEAD + 8 * math.prod(found.shape))[8:]
-                # Slices of a view are no copies, and a variable may fill half of the memory.
-                arrays[found.name] = _numbers(memoryview(matrix), found)
+                _check(path, found, wanted[found.name], end - begin)
+                chosen.append((compressed, begin, end, found))
+                declared, stored = declared + found.bytes, stored + end - begin
+        check_expansion(str(path), declared, stored, CAPTURE_BYTES)
+        for compressed, begin, end, found in chosen:
+            packed = content[begin:end]
+            matrix = _unpacked(packed, 8 + _HEAD + found.bytes)[8:] if compressed else memoryview(packed)
+            arrays[found.name] = _numbers(matrix, found)
     return arrays, names
 
 
@@ -84,12 +93,20 @@ def _elements(content: mmap.mmap) -> Iterator[tuple[int, int, int]]:
         at += 8 + size
 
 
-def _unpacked(packed: bytes, most: int) -> bytes:
-    """The first `most` bytes of a compressed element: the tag of the matrix (8 bytes), then the matrix."""
-    found = zlib.decompressobj().decompress(packed, most)
-    if len(found) < 8 or struct.unpack("<I", found[:4])[0] != _MATRIX:
+def _unpacked(packed: bytes, most: int) -> memoryview:
+    """The first `most` bytes of a compressed element: the tag of the matrix (8 bytes), then the matrix. Slices of a
+    view are no copies, and a variable may fill half of the memory."""
+    # Into one buffer piece by piece: zlib itself joins its pieces in the end, which takes the memory twice.
+    found, size, reader = memoryview(bytearray(most)), 0, zlib.decompressobj()
+    for begin in range(0, len(packed), _PACKED_BYTES):
+        rest = packed[begin : begin + _PACKED_BYTES]
+        # Also without input, to fetch what the decompressor still holds.
+        while size < most and (piece := reader.decompress(rest, min(_PIECE_BYTES, most - size))):
+            found[size : size + len(piece)] = piece
+            size, rest = size + len(piece), reader.unconsumed_tail
+    if size < 8 or struct.unpack("<I", found[:4])[0] != _MATRIX:
         raise ValueError("holds a compressed element that is no array")
-    return found
+    return found[:size]
 
 
 def _element(matrix: memoryview, at: int) -> tuple[int, memoryview, int]:
@@ -103,27 +120,32 @@ def _element(matrix: memoryview, at: int) -> tuple[int, memoryview, int]:
     return kind, matrix[at + 8 : at + 8 + size], at + 8 + -(-size // 8) * 8
 
 
-def _variable(head: bytes) -> Variable:
-    kind, flags, at = _element(memoryview(head), 0)
-    sized, dims, at = _element(memoryview(head), at)
-    named, name, at = _element(memoryview(head), at)
+def _variable(head: memoryview) -> Variable:
+    kind, flags, at = _element(head, 0)
+    sized, dims, at = _element(head, at)
+    named, name, at = _element(head, at)
     if (kind, sized, named) != (_UINT32, _INT32, _INT8) or len(flags) != 8 or len(dims) % 4:
         raise ValueError("an array has no head")
     shape = struct.unpack(f"<{len(dims) // 4}i", dims)
     if not 2 <= len(shape) <= _MOST_AXES or min(shape) < 0:
         raise ValueError(f"an array of the shape {shape}")
     (flag,) = struct.unpack("<I", flags[:4])
-    return Variable(bytes(name).decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at)
+    # The tag of the numbers, which may be cut off from what is no array of numbers.
+    tag, size = struct.unpack("<II", head[at : at + 8]) if at + 8 <= len(head) else (0, 0)
+    stored = tag >> 16 or size
+    return Variable(bytes(name).decode("latin-1"), flag & 0xFF, bool(flag & _IS_COMPLEX), shape, at, stored)
 
 
-def _check(path: Path, found: Variable, largest: int, stored_bytes: int) -> None:
-    """Refuse a variable that is no array of real numbers, or has more numbers than `largest`, or than `stored_bytes`
+def _check(path: Path, found: Variable, most: int, stored_bytes: int) -> None:
+    """Refuse a variable that is no array of real numbers, or has more numbers than `most`, or than `stored_bytes`
     can hold."""
     count = math.prod(found.shape)
     if found.kind not in _NUMBERS or found.is_complex:
         kind = "complex array" if found.is_complex else _NO_NUMBERS.get(found.kind, "thing of no known kind")
         raise InputError(f"{path}: {found.name}: is a {kind}, an array of real numbers is needed")
-    if count > largest or count > DEFLATE_REACHES * stored_bytes:
+    if count > most:
+        raise InputError(f"{path}: {found.name}: shape {found.shape}; at most {most} numbers are read")
+    if max(count, found.bytes) > DEFLATE_REACHES * stored_bytes:
         raise InputError(f"{path}: {found.name}: shape {found.shape} declared, more than the file can hold")
 
 

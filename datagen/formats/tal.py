@@ -9,6 +9,7 @@ which y-tal's fk and lct assume. Every layout of H is read.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from datagen.config.imported import ImportOptions
 from datagen.config.yaml_text import parse_yaml
 from datagen.errors import InputError, TooLargeError
-from datagen.formats.containers import Content, h5py, hdf5_content
+from datagen.formats.containers import ONE, POINTS, VALUES, Content, h5py, hdf5_content
 from datagen.formats.recording import (
     UNKNOWN,
     Recording,
@@ -34,6 +35,7 @@ from datagen.formats.recording import (
 from datagen.records.arrays import Floats, Ints
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
+from datagen.untrusted import CAPTURE_BYTES, expands_too_far
 
 HFormat = Enum("HFormat", "UNKNOWN T_Sx_Sy T_Lx_Ly_Sx_Sy T_Si T_Li_Si", start=0)
 """The axes of H: time, then laser points (L) and pixels (S), each as a grid (x, y) or a list (i)."""
@@ -41,10 +43,11 @@ GridFormat = Enum("GridFormat", "UNKNOWN N_3 X_Y_3", start=0)
 """The axes of points: list or grid."""
 VolumeFormat = Enum("VolumeFormat", "UNKNOWN N_3 X_Y_Z_3 X_Y_3", start=0)
 """The axes of volumes: y-tal has deprecated the key, and refuses files without it."""
-_WANTED = (
-    "H", "H_format", "sensor_xyz", "sensor_grid_xyz", "sensor_grid_normals", "laser_xyz", "laser_grid_xyz",
-    "laser_grid_normals", "delta_t", "t_start", "t_accounts_first_and_last_bounces", "scene_info",
-)  # fmt: skip
+_WANTED = {
+    "H": VALUES, "H_format": ONE, "sensor_xyz": POINTS, "sensor_grid_xyz": POINTS, "sensor_grid_normals": POINTS,
+    "laser_xyz": POINTS, "laser_grid_xyz": POINTS, "laser_grid_normals": POINTS, "delta_t": ONE, "t_start": ONE,
+    "t_accounts_first_and_last_bounces": ONE, "scene_info": ONE,
+}  # fmt: skip
 _GRIDS = {HFormat.T_Sx_Sy: (2, False), HFormat.T_Lx_Ly_Sx_Sy: (2, True), HFormat.T_Si: (1, False),
           HFormat.T_Li_Si: (1, True)}  # fmt: skip
 """Format → number of axes of a set of points, and whether the laser points have axes of their own."""
@@ -76,6 +79,14 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
         "t_accounts_first_and_last_bounces": m.time.origin == "source",
         "scene_info": yaml.safe_dump(_scene_info(scene, quantity, stored.frame, m.hidden)),
     }
+    _write(path, content, "gzip")
+    if expands_too_far(content["H"].nbytes, path.stat().st_size, CAPTURE_BYTES):
+        # A scan of few photons packs so far that it would not be read again.
+        _write(path, content, None)
+
+
+def _write(path: Path, content: Mapping[str, Any], compression: str | None) -> None:
+    """Write a file of y-tal, its H compressed as named."""
     with h5py().File(path, "w") as file:
         for name, value in content.items():
             if isinstance(value, Enum):
@@ -85,7 +96,7 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
                 # As y-tal writes it: a name without values.
                 file.create_dataset(name, data=h5py().Empty(float))
             else:
-                file.create_dataset(name, data=value, compression="gzip" if name == "H" else None)
+                file.create_dataset(name, data=value, compression=compression if name == "H" else None)
 
 
 def _with_axes(m: Recording) -> tuple[NDArray[Any], HFormat, Ints, Ints]:

@@ -18,7 +18,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.formats import export
-from datagen.formats.containers import matlab_content
+from datagen.formats.containers import VALUES, matlab_content
 from datagen.formats.matlab import read_mat
 from datagen.formats.recording import Recording, recording_of
 from datagen.formats.tal import read_tal
@@ -275,14 +275,14 @@ def test_matlab_arrays_are_read_as_scipy_reads_them(packed: bool, tmp_path: Path
     variables |= {"a": 3.5, "tiny": np.uint8([[1, 2]]), "none": np.zeros((0, 3)), "on": np.array([[True, False]])}
     scipy.io.savemat(tmp_path / "m.mat", {"text": "left out", **variables, "cell": np.array([1, "x"], object)},
                      do_compression=packed)  # fmt: skip
-    content = matlab_content(tmp_path / "m.mat", (*variables, "missing"))
+    content = matlab_content(tmp_path / "m.mat", dict.fromkeys((*variables, "missing"), VALUES))
     assert content.names == ("text", *variables, "cell") and set(content.arrays) == set(variables)
     for name, due in scipy.io.loadmat(tmp_path / "m.mat", variable_names=list(variables)).items():
         if name in variables:
             np.testing.assert_array_equal(content.arrays[name], due)
     for name, piece in (("text", "text"), ("cell", "cell array")):
         with pytest.raises(dg.InputError, match=piece):
-            matlab_content(tmp_path / "m.mat", (name,))
+            matlab_content(tmp_path / "m.mat", {name: VALUES})
 
 
 @pytest.mark.parametrize("name", ["c.hdf5", "plain.mat", "packed.mat"])
