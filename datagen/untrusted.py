@@ -111,9 +111,10 @@ _MOST_IN_A_LIST = 2**20
 """Most numbers of one list, which Python holds at once: more than a histogram has bins."""
 
 
-def read_records(path: Path, wanted: Sequence[str]) -> Iterator[dict[str, NDArray[Any]]]:
+def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator[dict[str, NDArray[Any]]]:
     """The objects of a JSON list, which may be compressed, one after the other: those of the `wanted` keys that an
-    object has, each a number, a list of numbers or a list of equally long lists of them.
+    object has, each a number, a list of numbers or a list of equally long lists of them; and the key `named`, whose
+    value may be text, too.
 
     An array has the narrowest of some dtypes that holds its numbers exactly. Beside the text and the arrays that the
     caller keeps, memory is taken for one list of numbers at a time; what is not wanted is passed over.
@@ -133,7 +134,9 @@ def read_records(path: Path, wanted: Sequence[str]) -> Iterator[dict[str, NDArra
             if not isinstance(key, str):
                 raise ValueError("a key is needed where an object has something else")
             begin, at = _value(text, _expected(text, end, b":", "a key with a value"))
-            if key in wanted:
+            if key == named and text[begin : begin + 1] == b'"':
+                found[key] = np.array(json.loads(text[begin:at]))
+            elif key in (*wanted, named):
                 found[key] = _numbers(text, begin, at, key)
             at, inside = _next_follows(text, at, b"}")
         yield found

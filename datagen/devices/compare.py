@@ -36,6 +36,7 @@ from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covaria
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, device, has_shape_of, recorded_by
 from datagen.devices.saturation import blind_periods, saturated, unsaturated
+from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
@@ -58,6 +59,9 @@ FEWEST_HELD_OUT = 16
 STEPS = 12
 """Most steps of a fit, each of which simulates the frames twice for every fitted number; fits of places converge
 in about half of them."""
+CLEARLY_BETTER = 0.8
+"""Error of the zones in another order, relative to that as listed, below which the file is taken to list them so.
+Around the real pyramid the right order is 0.54 to 0.61 of every other one, before the mount is fitted."""
 PRIOR_WEIGHT = 0.01
 """Relative error of one histogram that costs a fit as much as a number that is one standard deviation of its prior
 away from the prior's mean; histograms err by several times as much."""
@@ -228,12 +232,14 @@ def compare(
     Raises
     ------
     InputError : no poses, another number of zones or bins than the device has, histograms without a count, more
-        counts than the device has cycles, or no part in sight.
+        counts than the device has cycles, no part in sight, or zones that fit far better in another order than the
+        device's, if the file does not state its order.
     """
     bad = [group for group in fit if group not in GROUPS]
     if bad:
         raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
     doing = doing or (lambda what: None)
+    order_is_stated = frames.zone_order is not None
     frames, modes = _checked(frames, sensor)
     held_out = len(frames) >= FEWEST_HELD_OUT
     everything = np.arange(len(frames))
@@ -242,6 +248,8 @@ def compare(
     session, test = _Session.of(frames.some(fitted), parts, doing), frames.some(tested)
     groups: list[Group] = [group for group in GROUPS if group in fit]
     starts = [_State(mode, np.zeros(6), np.zeros(6)) for mode in modes]
+    if not order_is_stated:
+        _check_order(frames.source, [session.errors_by_order(start) for start in starts])
     trials = [session.solved(start, groups[:1]) for start in starts]
     best = int(np.argmin([np.median(session.errors(state)) for state, _ in trials]))
     states, (state, numbers) = {"albedos, floor": starts[best]}, trials[best]
@@ -287,6 +295,18 @@ def _checked(frames: Frames, sensor: Device) -> tuple[Frames, list[Device]]:
                 f"which give at most {cycles / (1 + blind):.0f}; raise cycles in a device file"
             )
     return frames, modes
+
+
+def _check_order(source: str, errors_by_mode: Sequence[dict[str, float]]) -> None:
+    """Raise `InputError` where the zones of frames fit far better in another order than in the device's, in the mode
+    that fits best."""
+    errors = min(errors_by_mode, key=lambda of: of[""])
+    best = min(errors, key=lambda name: errors[name])
+    if errors[best] < CLEARLY_BETTER * errors[""]:
+        raise InputError(
+            f"{source}: histograms are {errors['']:.0%} off as listed, and {errors[best]:.0%} if zones are listed as "
+            f"{best!r}: state zone_order in the file (docs/devices.md), this or the one that they have"
+        )
 
 
 def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
@@ -406,11 +426,27 @@ class _Session:
         counted = expected_histogram(flat, state.device.axis, spad, exposure)
         return counted.reshape(*light.shape[:3], -1)
 
-    def balanced(self, state: _State) -> tuple[Floats, Floats, Floats, Floats]:
+    def errors_by_order(self, state: _State) -> dict[str, float]:
+        """Order of the zones → median relative L2 of the histograms if the frames list them so; "" for the device's
+        own order."""
+        events, zones = self.events(state), state.device.zones
+        count, errors = self.counts.shape[1], {"": 0.0}
+        errors[""] = float(np.median(self.errors(state, events)))
+        for name in ORDERS if grid_of(zones) is not None else ():
+            listed = zones_listed("", name, zones, count)
+            if not np.array_equal(listed, np.arange(count)):
+                turned = replace(self, counts=self.counts[:, np.argsort(listed)])
+                errors[name] = float(np.median(turned.errors(state, events)))
+        return errors
+
+    def balanced(self, state: _State, given: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats]:
         """The linear fit: coefficients (K + 1,) of the parts and the floor, and the modelled events (n, zones, bins);
-        the design (rows, K + 1) and the residuals (rows,) of the fit."""
+        the design (rows, K + 1) and the residuals (rows,) of the fit.
+
+        given : the `events` of the state, where the caller has them.
+        """
         device_ = state.device
-        *parts, glass = self.events(state)
+        *parts, glass = self.events(state) if given is None else given
         events = unsaturated(self.counts, device_.counting.cycles, blind_periods(device_)) - glass
         weight = 1 / np.linalg.norm(events, axis=2, keepdims=True)
         floors = dark_count_rates(replace(device_.spad, dark_count_rate_hz=1.0), events.shape[1])[:, None]
@@ -427,15 +463,15 @@ class _Session:
         errors = np.sqrt(np.maximum(np.diag(clustered_covariance(design, residual, len(self.counts))), 0.0))
         return found[:-1], float(found[-1]), errors
 
-    def residuals(self, state: _State) -> Floats:
+    def residuals(self, state: _State, given: Floats | None = None) -> Floats:
         """(n, zones, bins) modelled minus measured counts, relative to each histogram's norm."""
-        _, modelled, _, _ = self.balanced(state)
+        _, modelled, _, _ = self.balanced(state, given)
         model = saturated(modelled, state.device.counting.cycles, blind_periods(state.device))
         return np.asarray((model - self.counts) / np.linalg.norm(self.counts, axis=2, keepdims=True))
 
-    def errors(self, state: _State) -> Floats:
+    def errors(self, state: _State, given: Floats | None = None) -> Floats:
         """(n, zones) relative L2 of the histograms."""
-        return np.asarray(np.linalg.norm(self.residuals(state), axis=2))
+        return np.asarray(np.linalg.norm(self.residuals(state, given), axis=2))
 
     def simulated(self, state: _State, albedos: Floats, floor: float) -> Floats:
         """(n, zones, bins) expected counts with all rays and the detector's own statistics."""

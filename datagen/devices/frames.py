@@ -27,6 +27,8 @@ class Frames:
     poses : (n, 4, 4) poses of the sensor, its z axis looking out, metres; None where the file holds none.
     distances_m : (n,) distances to a plane that the sensor faces; None where the file holds none.
     reference : (n, bins) the reference channel inside the sensor; None where the file holds none.
+    zone_order : how the zones are listed, a name of `zone_order.ORDERS` or the device's number of each; None where
+        the file does not say it, so that they are taken to be in the device's order.
     """
 
     source: str
@@ -34,6 +36,7 @@ class Frames:
     poses: Floats | None = None
     distances_m: Floats | None = None
     reference: Floats | None = None
+    zone_order: str | tuple[int, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.histograms)
@@ -59,10 +62,10 @@ def read_frames(path: str | Path) -> Frames:
     """The frames of a file.
 
     path : JSON (also .gz), a list of frames with `hists` (zones, bins) and, in all frames or none, `pose` (4, 4),
-        `dist_to_plane` (metres), `reference_hist` (bins) and `ambient` (zones,); .npz with `hists` (n, zones, bins)
-        and the same optional names for all frames; or .npy with the histograms alone. `ambient` is what a sensor
-        subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole count
-        where `hists` is whole.
+        `dist_to_plane` (metres), `reference_hist` (bins), `ambient` (zones,) and `zone_order`; .npz with `hists` (n,
+        zones, bins) and the same optional names for all frames; or .npy with the histograms alone. `ambient` is what
+        a sensor subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole
+        count where `hists` is whole. `zone_order` says how the zones are listed (docs/devices.md).
 
     Raises `InputError` for a file that is missing or damaged, and for histograms that are ragged, negative or not
     finite.
@@ -123,14 +126,20 @@ def all_whole(histograms: Floats) -> bool:
 
 _KEYS = {"histograms": "hists", "poses": "pose", "distances_m": "dist_to_plane", "reference": "reference_hist",
          "ambient": "ambient"}  # fmt: skip
-"""Attribute of `Frames` → its key in files."""
+"""Attribute of `Frames` → its key in files, for what has a value in each frame."""
+_ORDER = "zone_order"
 
 
 def _json(path: Path) -> dict[str, Any]:
-    listed = list(read_records(path, [*_KEYS.values()]))
+    listed = list(read_records(path, [*_KEYS.values()], _ORDER))
     if not listed:
         raise ValueError("a list of frames is needed")
-    found = {}
+    found = dict[str, Any]()
+    orders = {_order(frame[_ORDER]) for frame in listed if _ORDER in frame}
+    if len(orders) > 1:
+        raise ValueError("frames of several zone_order; write them into several files")
+    if orders:
+        found["zone_order"] = orders.pop()
     for name, key in _KEYS.items():
         having = sum(key in frame for frame in listed)
         if having not in (0, len(listed)):
@@ -140,6 +149,15 @@ def _json(path: Path) -> dict[str, Any]:
     if "histograms" not in found:
         raise ValueError("no frame has 'hists'")
     return found
+
+
+def _order(given: NDArray[Any]) -> str | tuple[int, ...]:
+    """The value of `zone_order`: a text, or whole numbers."""
+    if given.dtype.kind == "U" and given.size == 1:
+        return str(given.reshape(-1)[0])
+    if given.ndim != 1 or given.dtype.kind not in "fiu" or (given % 1 != 0).any():
+        raise ValueError("zone_order must be a text, or one whole number for each zone")
+    return tuple(map(int, given))
 
 
 def _stacked(key: str, values: list[NDArray[Any]]) -> Floats:
@@ -155,7 +173,8 @@ def _stacked(key: str, values: list[NDArray[Any]]) -> Floats:
 def _numpy(path: Path) -> dict[str, Any]:
     if path.suffix == ".npy":
         return {"histograms": read_npy(path).astype(np.float64)}
-    loaded, _ = read_npz(path, [*_KEYS.values()])
+    loaded, _ = read_npz(path, [*_KEYS.values(), _ORDER])
     if "hists" not in loaded:
         raise ValueError("has no 'hists'")
-    return {name: np.asarray(loaded.pop(key), np.float64) for name, key in _KEYS.items() if key in loaded}
+    order = {"zone_order": _order(loaded.pop(_ORDER))} if _ORDER in loaded else {}
+    return order | {name: np.asarray(loaded.pop(key), np.float64) for name, key in _KEYS.items() if key in loaded}

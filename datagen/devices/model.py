@@ -15,6 +15,7 @@ from datagen.config.detector import DetectorConfig
 from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
 from datagen.devices.frames import Frames
+from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError, InputWarning
 from datagen.records import Capture
 from datagen.records.checks import as_points
@@ -99,20 +100,19 @@ def has_shape_of(frames: Frames, device: Device, zones: int) -> bool:
 
 
 def recorded_by(source: object, frames: Frames, device: Device, zones: int) -> Frames:
-    """Frames of a device with `zones` zones.
+    """Frames of a device with `zones` zones, in the order of the device where the file states another.
 
     Where there is one histogram more than zones, the first is taken as that of the reference channel, as drivers put
     it: it is moved to `Frames.reference` with a warning. Raises `InputError`, which names the `source`, for frames of
-    other shapes.
+    other shapes, and for an order of zones that is none.
     """
     _, found, bins = frames.histograms.shape
     what = f"{source}: {found} zones of {bins} bins, {device.name} has {zones} of {device.time.bins}"
     if not has_shape_of(frames, device, zones):
         raise InputError(f"{what}; {_likely_cause(found, bins, device, zones)}")
-    if found == zones:
-        return frames
-    warn(f"{what}; the first is taken as the reference channel and left out", InputWarning, stacklevel=3)
-    return without_reference(frames, zones)
+    if found > zones:
+        warn(f"{what}; the first is taken as the reference channel and left out", InputWarning, stacklevel=3)
+    return in_device_order(without_reference(frames, zones), device.zones)
 
 
 def without_reference(frames: Frames, zones: int) -> Frames:

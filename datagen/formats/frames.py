@@ -17,6 +17,7 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
 from datagen.devices.frames import all_whole
+from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError
 from datagen.records import OnSurfaces, Sample, Scalar
 from datagen.records.sample import geometry_fields
@@ -102,7 +103,8 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
     lasers, pixels, _ = config.histogram_shape
     frames, sensor = _frames(path, file.sha256, lasers * pixels), config.capture.device
     assert sensor is not None
-    counts = frames.histograms[frame].reshape(config.histogram_shape).astype(config.store.histogram_dtype)
+    (counts,) = in_device_order(frames.some(np.array([frame])), sensor.zones).histograms
+    counts = counts.reshape(config.histogram_shape).astype(config.store.histogram_dtype)
     pose = np.eye(4) if frames.poses is None else frames.poses[frame]
     place, forward, up = pose[:3, 3], pose[:3, 2], pose[:3, 1]
     capture = capture_at(sensor, place, place + forward, up)

@@ -17,6 +17,7 @@ import datagen as dg
 from datagen.cli import cli
 from datagen.config import config_from_mapping
 from datagen.devices import Comparison, Fitted
+from datagen.devices.zone_order import zones_listed
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
 
@@ -114,6 +115,19 @@ def test_few_frames_are_all_fitted_and_the_table_says_so(session: dg.Frames, tmp
     few = dg.compare(session.some(np.arange(6)), alone(), parts_of(tmp_path), fit=())
     assert len(few.measured) == 6 and not few.held_out
     assert "6 frames tested, which were fitted, too" in few.text()
+
+
+@pytest.mark.parametrize("order", ["rows from top left", "columns from top left, pairs exchanged"])
+def test_zones_in_another_order_are_refused_unless_the_file_states_it(
+    order: str, session: dg.Frames, tmp_path: Path
+) -> None:
+    """The device lists its nine zones by columns from the top left; what was recorded tells the order it is in."""
+    listed, parts = zones_listed("", order, alone().zones, 9), parts_of(tmp_path)
+    other = replace(session, histograms=session.histograms[:, listed])
+    with pytest.raises(InputError, match=f"if zones are listed as '{order}': state zone_order in the file"):
+        dg.compare(other, alone(), parts, fit=())
+    stated = dg.compare(replace(other, zone_order=order), alone(), parts, fit=())
+    np.testing.assert_array_equal(stated.measured, dg.compare(session, alone(), parts, fit=()).measured)
 
 
 def test_a_mesh_is_divided_where_things_touch(tmp_path: Path) -> None:

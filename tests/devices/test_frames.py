@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import datagen as dg
+from datagen.capture.device_optics import zone_boxes
 from datagen.devices import Frames, recorded_by
 from datagen.devices.frames import fitted_and_tested
+from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats
 
@@ -103,3 +105,73 @@ def test_frames_of_another_shape_are_refused_with_the_likely_cause(shape: tuple[
     frames = replace(Frames("sent", np.ones((1, 9, 128))), histograms=np.ones((1, *shape)))
     with pytest.raises(InputError, match=f"{shape[0]} zones of {shape[1]} bins, tmf8820 has 9 of 128; .*{likely}"):
         recorded_by("sent", frames, device, 9)
+
+
+@pytest.mark.parametrize("name", ["tmf8820", "tmf8828", "vl53l8ch", "vl53l8ch_4x4", "phone_dots", "swissspad3"])
+def test_zones_are_turned_from_every_order_into_the_device_s(name: str) -> None:
+    """A histogram that has its place (right, up) in it comes back at the zone of that place."""
+    device = dg.device(name)
+    boxes, count, bins = zone_boxes(device.zones), device.zones.count, device.time.bins
+    grid = grid_of(device.zones)
+    assert grid is not None
+    rows, columns = grid.shape
+    own = np.zeros((1, count, bins))
+    own[0, :, :2] = boxes[:, :2]
+    for order in ORDERS:
+        places = [(row, column) for row in range(rows) for column in range(columns)]
+        if order.startswith("columns"):
+            places = [(row, column) for column in range(columns) for row in range(rows)]
+        listed = []
+        for row, column in places:
+            row = row if "top" in order else rows - 1 - row
+            column = column if "left" in order else columns - 1 - column
+            partner = column ^ 1
+            column = partner if "exchanged" in order and partner < columns else column
+            listed.append(grid[row, column])
+        sent = Frames("sent", own[:, listed], zone_order=order)
+        np.testing.assert_array_equal(recorded_by("sent", sent, device, count).histograms, own)
+        sent = replace(sent, zone_order=tuple(map(int, listed)))
+        np.testing.assert_array_equal(recorded_by("sent", sent, device, count).histograms, own)
+    # The zones of a grid as the catalogue has them: the first is at the top left.
+    assert boxes[grid[0, 0], 0] < boxes[grid[0, -1], 0] and boxes[grid[0, 0], 1] > boxes[grid[-1, 0], 1]
+
+
+@pytest.mark.parametrize("form", ["npz", "json"])
+def test_an_order_that_a_file_states_is_that_of_its_zones(form: str, tmp_path: Path) -> None:
+    """Also beside a reference channel, and as numbers; the dataset has the device's own order."""
+    counts, order = np.random.default_rng(0).poisson(9.0, (3, 16, 24)), "rows from top right, pairs exchanged"
+    listed = zones_listed("", order, dg.device("vl53l8ch_4x4").zones, 16)
+    sent = np.concatenate([counts[:, :1], counts[:, listed]], axis=1)
+    for number, stated in enumerate((order, listed.tolist())):
+        path = tmp_path / f"{number}.{form}"
+        if form == "npz":
+            np.savez(path, hists=sent, zone_order=stated)
+        else:
+            path.write_text(json.dumps([{"zone_order": stated, "hists": hist.tolist()} for hist in sent]))
+        with pytest.warns(InputWarning, match="reference channel"):
+            dg.import_captures(path, tmp_path / f"real{number}", device="vl53l8ch_4x4", progress=False)
+        data = dg.TransientDataset(tmp_path / f"real{number}", ("histogram",), counts="stored")
+        np.testing.assert_array_equal(np.stack([data[k]["histogram"][0] for k in range(3)]), counts)
+
+
+@pytest.mark.parametrize(
+    ("order", "named"),
+    [
+        ("by chance", "rows or columns from top or bottom"), ("rows from top letf", "did you mean"),
+        (list(range(15)), "0 … 15"), ([0] * 16, "0 … 15"), (0.5, "zone_order must be"),
+        ([0.5] * 16, "zone_order must be"),
+    ],
+)  # fmt: skip
+def test_an_order_that_is_none_is_refused_in_a_line(order: object, named: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "sent.npz", hists=np.ones((2, 16, 24)), zone_order=order)
+    with pytest.raises(InputError, match=named) as refused:
+        dg.import_captures(tmp_path / "sent.npz", tmp_path / "real", device="vl53l8ch_4x4", progress=False)
+    assert "\n" not in str(refused.value) and not (tmp_path / "real").exists()
+
+
+def test_frames_of_several_orders_are_refused(tmp_path: Path) -> None:
+    orders = ("rows from top left", "columns from top left")
+    frames = [{"hists": np.ones((16, 24)).tolist(), "zone_order": order} for order in orders]
+    (tmp_path / "sent.json").write_text(json.dumps(frames))
+    with pytest.raises(InputError, match="several zone_order"):
+        dg.read_frames(tmp_path / "sent.json")
