@@ -176,7 +176,7 @@ def _next_follows(text: bytearray, at: int, end: bytes) -> tuple[int, bool]:
 def _value(text: bytearray, at: int) -> tuple[int, int]:
     """(begin, end) of the value that comes next."""
     begin = _after_space(text, at)
-    if text[begin : begin + 1] not in (b"[", b"{"):
+    if bytes(text[begin : begin + 1]) not in (b"[", b"{"):
         scalar = _SCALAR.match(text, begin)
         if scalar is None:
             raise ValueError("ends where a value is needed")
