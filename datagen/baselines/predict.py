@@ -104,7 +104,7 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
     if path.suffix != ".npz":
         raise InputError(f"OUT = {str(out)!r}: predictions are a NumPy archive; name a file that ends in .npz")
     train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
-    arrays: dict[str, Any] = {"scene": wanted.scene}
+    arrays: dict[str, Any] = {"scene": wanted.scene, "suite": str(Scenes(suite).manifest.config["name"])}
     for name, values in BASELINES[method](train, wanted, seed).items():
         arrays[name] = values.astype("f4") if values.dtype.kind == "f" else values
     content = io.BytesIO()

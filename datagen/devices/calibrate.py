@@ -127,6 +127,10 @@ def calibrate(
     assert z is not None
     usable = np.flatnonzero((z >= nearest_m) & (z <= FARTHEST_M))
     usable = usable[np.argsort(z[usable], kind="stable")]
+    if (z > FARTHEST_M).all():
+        raise InputError(
+            f"{frames.source}: all distances (dist_to_plane) are over {FARTHEST_M:g} m; give them in metres"
+        )
     if len(usable) < 8:
         raise InputError(f"{frames.source}: {len(usable)} frames from {nearest_m:g} m on; at least 8 are needed")
     doing = doing or (lambda what: None)

@@ -40,6 +40,7 @@ from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
+from datagen.store.manifest import Manifest
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
@@ -314,13 +315,14 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
 
     recorded, simulated : folders of datasets with the field histogram; each pixel of each laser point is a zone.
 
-    Raises `InputError` for datasets without histograms, of other shapes, or with no scene in common.
+    Raises `InputError` for datasets without histograms, of other shapes or times, or with no scene in common.
     """
     pair = [Scenes(recorded), Scenes(simulated)]
     common = sorted(set(pair[0].made()) & set(pair[1].made()))
     for dataset in pair:
         if "histogram" not in dataset.manifest.schema.by_name:
             raise InputError(f"{dataset.root}: has no field histogram; build it with histogram in store.fields")
+    _check_alike(*(dataset.manifest for dataset in pair), f"{recorded} and {simulated}")
     if not common:
         raise InputError(f"{recorded} and {simulated}: have no scene in common; number scenes alike")
     stacks = [
@@ -352,6 +354,23 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
         error = relative_l2(values, measured)
         steps[name] = float(np.median(error)), float(np.percentile(error, 90))
     return Comparison(str(recorded), str(simulated), fitted, steps, measured, modelled)
+
+
+def _check_alike(recorded: Manifest, simulated: Manifest, names: str) -> None:
+    """Raise `InputError` where histograms of two datasets have other times, or come from another kind of scan."""
+    one, other = recorded.time, simulated.time
+    half = min(one.width_s, other.width_s) / 2
+    ends = abs(one.start_s - other.start_s), abs(one.stop_s - other.stop_s)
+    if one.bins == other.bins and (one.origin != other.origin or max(ends) > half):
+        texts = (f"{t.width_s * 1e12:.6g} ps from {t.start_s * 1e9:.6g} ns on ({t.origin})" for t in (one, other))
+        raise InputError(
+            f"{names}: bins of {' and of '.join(texts)}; they must be the same times, so simulate with the time axis "
+            "of what was recorded"
+        )
+    for key, usual in (("pairing", "exhaustive"), ("illumination", "scan")):
+        kinds = [manifest.config["capture"].get(key, usual) for manifest in (recorded, simulated)]
+        if kinds[0] != kinds[1]:
+            raise InputError(f"{names}: capture.{key} is {kinds[0]} and {kinds[1]}; they must be alike")
 
 
 @dataclass(frozen=True)

@@ -66,9 +66,15 @@ def config_of_frames(
     sensor = device(name)
     # A scan has a histogram for each laser point.
     lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
-    files, most = [], 0.0
+    files, most, posed = list[ImportedFile](), 0.0, list[bool]()
     for path in paths:
         frames = recorded_by(path, read_frames(path), sensor, lasers * pixels)
+        posed.append(frames.poses is not None)
+        if posed[-1] != posed[0]:
+            has, none = (paths[0], path) if posed[0] else (path, paths[0])
+            raise InputError(
+                f"{has} has poses and {none} none, so that positions would be in two frames; import them apart"
+            )
         if not all_whole(frames.histograms):
             raise InputError(
                 f"{path}: hists holds fractions, which are no counts; multiply hists (and ambient) by what the "

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
+from warnings import warn
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from datagen.config import DatasetConfig
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_layouts import ImportedCaptures
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.formats.frames import (
     LARGEST_COUNTS,
     config_of_frames,
@@ -35,6 +36,8 @@ from datagen.store.files import sha256_of
 FORMATS = ("tal", "mat", "frames")
 FIELDS = ("histogram", "transient")
 AXES = ("xyt", "yxt", "txy", "tyx")
+_WIDEST_SCAN_M = 100.0
+"""Extent of a scan above which its unit is doubted: millimetres or centimetres make a scan of a wall larger."""
 _BY_SUFFIX = {".hdf5": "tal", ".h5": "tal", ".hdf": "tal", ".mat": "mat", ".json": "frames",
               ".gz": "frames", ".npz": "frames", ".npy": "frames"}  # fmt: skip
 
@@ -226,6 +229,9 @@ def _summary(path: Path, format: str | None, options: ImportOptions, delays: Pat
     file = ImportedFile(name=path.name, sha256=sha256_of(path), format=cast(Literal["tal", "mat"], form))
     recording = _recording(path, form, options, delays)
     whole, most = numbers_in(path, recording.values)
+    across = float(np.linalg.norm(np.ptp(np.concatenate([recording.laser_points, recording.seen_points]), axis=0)))
+    if across > _WIDEST_SCAN_M:
+        warn(f"{path}: its points are {across:.4g} m apart; are they in metres?", InputWarning, stacklevel=4)
     return _Summary(file, recording.values.shape, recording.paired, recording.time, whole, most)
 
 

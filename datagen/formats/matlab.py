@@ -44,6 +44,8 @@ from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
 from datagen.untrusted import CAPTURE_BYTES, expands_too_far
 
+_SHORTEST_LEG_PS = 66.7
+"""Time to a wall 1 cm away and back, than which no galvo's is shorter."""
 _LARGEST_BYTES = 2**31 - 1
 """Largest variable of version 5 that MATLAB reads."""
 _WANTED = {
@@ -215,6 +217,11 @@ def _read_shifts(
         raise InputError(f"{content.path}: tofgrid: shape {found.shape}, the grid is {grid}")
     if not np.isfinite(found).all() or (found < 0).any() or (found > 1e12).any():
         raise InputError(f"{content.path}: tofgrid: must be picoseconds ≥ 0, finite")
+    if 0 < found.max() < _SHORTEST_LEG_PS:
+        raise InputError(
+            f"{content.path}: tofgrid: at most {found.max():.3g} ps to the wall and back, which is no way; is it in "
+            "seconds or nanoseconds? Picoseconds are needed"
+        )
     return np.floor(found.astype(np.float64) / bin_width_ps).astype(np.int64)
 
 

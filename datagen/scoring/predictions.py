@@ -18,6 +18,10 @@ from datagen.scoring.truth import Truth
 from datagen.untrusted import check_expansion, one_line, read_npz
 
 QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
+SUITE = "suite"
+"""Array with the name of the dataset that was predicted; it may be left out."""
+FAR = 50.0
+"""Predictions lie farther than so many times the size of the hidden part only if they are in another unit."""
 _REMEDY = "docs/datasets.md shows how to write predictions"
 
 
@@ -46,19 +50,25 @@ class Predictions:
 def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Predictions:
     """The predictions for the scenes of `truth`; predictions for other scenes are ignored.
 
-    source : an `.npz` file, a Zarr group, or a mapping, with `scene` (N,) and any of `QUANTITIES`.
+    source : an `.npz` file, a Zarr group, or a mapping, with `scene` (N,) and any of `QUANTITIES`; `SUITE`, too, if
+        it says of which dataset the predictions are.
 
-    Raises `InputError` for a missing file, another format, scenes that are missing or there twice, an unknown
-    quantity or none, a wrong shape, and values that are no numbers, not finite, or out of range.
+    Raises `InputError` for a missing file, another format or dataset, scenes that are missing or there twice, an
+    unknown quantity or none, a wrong shape, and values that are no numbers, not finite, out of range, or lengths in
+    another unit than metres.
     """
     arrays = dict(source) if isinstance(source, Mapping) else _loaded(Path(source), truth)
     where = "predictions" if isinstance(source, Mapping) else str(source)
     if "scene" not in arrays:
         raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
     for name in arrays:
-        if name not in ("scene", *QUANTITIES):
+        if name not in ("scene", *QUANTITIES, SUITE):
             hint = near_hint(name, QUANTITIES)
-            raise InputError(f"{where}: unknown array {name!r}; {hint}Known are scene, {', '.join(QUANTITIES)}")
+            raise InputError(
+                f"{where}: unknown array {name!r}; {hint}Known are scene, {', '.join(QUANTITIES)}, {SUITE}"
+            )
+    if (of := str(np.asarray(arrays.pop(SUITE, "")))) not in ("", truth.manifest.config["name"]):
+        raise InputError(f"{where}: predicts {of[:100]!r}, not {truth.manifest.config['name']!r}; name its own suite")
     if len(arrays) == 1:
         raise InputError(f"{where}: holds nothing beside `scene`; give any of {', '.join(QUANTITIES)}")
     rows = _rows(where, np.asarray(arrays["scene"]), truth)
@@ -77,7 +87,7 @@ def _loaded(path: Path, truth: Truth) -> dict[str, NDArray[Any]]:
     """Name → array of a file or group of predictions. An array of an unknown name is empty and was not read."""
     if not path.exists():
         raise InputError(f"{path}: no such file; name an .npz file or a Zarr group of predictions")
-    known, enough = ("scene", *QUANTITIES), _bytes_of_all(truth)
+    known, enough = ("scene", *QUANTITIES, SUITE), _bytes_of_all(truth)
     with one_line(f"{path}: is no .npz file and no Zarr group of predictions", _REMEDY):
         if path.is_dir():
             import zarr
@@ -143,6 +153,7 @@ def _checked(where: str, name: str, given: NDArray[Any], count: int, rows: NDArr
         fill = np.isnan(values)
         if (fill.any(axis=-1) != fill.all(axis=-1)).any() or np.isinf(values).any():
             raise InputError(f"{where} has rows that are neither three finite numbers nor three NaN (fill)")
+        _check_metres(where, np.linalg.norm(values[~fill.any(axis=-1)], axis=-1), float(truth.span.max()))
         return values
     bad: Callable[[int], str] = lambda k: f"in scene {truth.scenes[k]}"  # noqa: E731
     wrong = ~np.isfinite(values)
@@ -154,4 +165,14 @@ def _checked(where: str, name: str, given: NDArray[Any], count: int, rows: NDArr
         allowed = "≥ 0 (m; 0: empty)" if name == "depth" else "in 0 … 1"
         k = tuple(np.argwhere(wrong)[0])
         raise InputError(f"{where} = {values[k]:g}, {bad(int(k[0]))}: must be {allowed}")
+    if name == "depth":
+        _check_metres(where, values[values > 0], float(truth.reach.max()))
     return values
+
+
+def _check_metres(where: str, lengths: Floats, size_m: float) -> None:
+    """Raise `InputError` for lengths that most likely are not in metres, beside a hidden part of so many metres."""
+    if lengths.size and (typical := float(np.median(lengths))) > FAR * size_m:
+        raise InputError(
+            f"{where}: the median is {typical:.4g}, and the hidden part has {size_m:.3g} m; metres are needed"
+        )

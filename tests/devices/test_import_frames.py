@@ -84,3 +84,10 @@ def test_wrong_frames_are_refused_in_a_line_and_nothing_is_made(frames: Path, tm
         with pytest.raises(InputError, match=named):
             dg.import_captures(file, tmp_path / "none", progress=False, **options)  # type: ignore[arg-type]
     assert not (tmp_path / "none").exists()
+
+
+def test_files_with_and_without_poses_are_two_datasets(frames: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "bare.npy", np.ones((2, 9, 128)))
+    for files in ([frames, tmp_path / "bare.npy"], [tmp_path / "bare.npy", frames]):
+        with pytest.raises(InputError, match=r"three.npz has poses and .*bare.npy none.*import them apart"):
+            dg.import_captures(files, tmp_path / "none", device="tmf8820", progress=False)

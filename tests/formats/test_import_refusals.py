@@ -197,3 +197,39 @@ def test_a_file_that_changes_during_the_import_is_refused(tmp_path: Path) -> Non
     path.write_bytes(path.read_bytes() + b"\0")
     with pytest.raises(dg.InputError, match="has changed"):
         ImportedSamples((str(path),), None)(config, 0)
+
+
+def test_other_units_are_refused_or_warned_of(tmp_path: Path) -> None:
+    """Delays in seconds would shift nothing; a wall in millimetres is legal, and a doubt."""
+    scipy.io.savemat(tmp_path / "m.mat", {"meas": H, "tofgrid": np.full((3, 3), 1e-8)})
+    refuse(tmp_path, tmp_path / "m.mat", "Picoseconds are needed", **WALL)
+    for changes, piece in (({"delta_t": 1e-12}, "width"), ({"delta_t": 3e8}, "width")):
+        refuse(tmp_path, tal_file(tmp_path / "c.hdf5", **changes), piece)
+    for width in (32.0, 4.0):
+        scipy.io.savemat(tmp_path / "r.mat", {"rect_data": H, "width": 0.4, "bin_resolution": width})
+        refuse(tmp_path, tmp_path / "r.mat", "bin_width_ps")
+    with pytest.warns(dg.InputWarning, match="are they in metres"):
+        dg.import_captures(
+            tal_file(tmp_path / "d.hdf5", lit=1000 * SEEN, seen=1000 * SEEN), tmp_path / "set", progress=False
+        )
+
+
+def test_datasets_of_other_times_or_scans_are_not_compared(tmp_path: Path) -> None:
+    """Of one shape, so that nothing else tells them apart: bins of another width, start or origin, or pairing."""
+    one, four = SEEN[:1, :1], SEEN[:2, :2]
+    files: dict[str, dict[str, Any]] = {
+        "same": {}, "alike": {"delta_t": 0.003 * (1 + 1e-9)}, "wider": {"delta_t": 0.0033}, "later": {"t_start": 0.6},
+        "from the wall": {"t_accounts_first_and_last_bounces": False},
+        "one pixel": {"h": H[:, :2, :2].reshape(8, 2, 2, 1, 1), "form": 2, "lit": four, "seen": one},
+        "confocal": {"h": H[:, :2, :2], "lit": four, "seen": four},
+    }  # fmt: skip
+    for name, changes in files.items():
+        dg.import_captures(tal_file(tmp_path / f"{name}.hdf5", **changes), tmp_path / name, progress=False)
+    for name, other, piece in (
+        ("same", "wider", r"bins of 10.0069 ps from 0 ns on \(source\) and of 11.0076 ps"),
+        ("same", "later", "from 2.00138 ns on"), ("same", "from the wall", r"\(wall\)"),
+        ("one pixel", "confocal", "capture.pairing is exhaustive and confocal"),
+    ):  # fmt: skip
+        with pytest.raises(dg.InputError, match=piece):
+            dg.compare_datasets(tmp_path / name, tmp_path / other)
+    assert dg.compare_datasets(tmp_path / "same", tmp_path / "alike").relative_l2.max() < 1e-6

@@ -55,7 +55,7 @@ def test_truth_is_that_of_the_dataset(suite: Path, truth: Truth) -> None:
 
 
 def test_labels_themselves_are_perfect(suite: Path, right: dict[str, Any]) -> None:
-    scores = dg.score(suite, right)
+    scores = dg.score(suite, right | {"suite": "made"})
     assert scores.all == pytest.approx(PERFECT, abs=1e-6)
     assert {name: of for name, of in scores.with_evidence.items() if not math.isnan(of)}.items() <= {
         name: pytest.approx(of, abs=1e-6) for name, of in PERFECT.items()
@@ -164,6 +164,9 @@ def test_files_and_groups_are_read_alike(
         ({"mask": np.full((4, ROWS, COLUMNS), 1.5)}, "mask = 1.5, in scene"),
         ({"points": np.array([[[0, 0, np.nan]]] * 4)}, "points has rows that are neither three finite"),
         ({"centers": np.full((4, 1, 3), np.inf)}, "centers has rows that are neither"),
+        ({"depth": np.full((4, ROWS, COLUMNS), 900.0)}, "metres are needed"),
+        ({"centers": np.full((4, 1, 3), 900.0)}, "metres are needed"),
+        ({"suite": "letters-1"}, "predicts 'letters-1', not 'made'"),
     ],
 )
 def test_wrong_predictions_are_refused_in_a_line(
