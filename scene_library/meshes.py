@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scene_library.arrays import Floats
+from scene_library.glb_files import read_glb
+from scene_library.mesh_file import BadMesh, MeshFile
 from scene_library.open3d_import import import_open3d
-from scene_library.polygon_files import BENT, NotSimple, read_obj, read_ply
+from scene_library.polygon_files import BENT, read_obj, read_ply
 from scene_library.solids import Solid
+from scene_library.stl_files import HEADER_BYTES, count_by_size, read_stl
 
 SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 POLYGONS = {".obj": read_obj, ".ply": read_ply}
@@ -25,8 +25,9 @@ FRONTS = {"z": "-y", "-z": "y", "y": "z", "-y": "-z", "x": "-y", "-x": "-y"}
 """Axis of the file that points up → the one that points to the front where nothing is said."""
 
 
-class BadMesh(ValueError):
-    """A file that cannot be used: the message says what is wrong with it and what to do."""
+def upward_axis(path: Path | str) -> str:
+    """The axis that points up in a file that is read without options: glTF fixes y; other formats leave it open."""
+    return "y" if Path(path).suffix.lower() == ".glb" else "z"
 
 
 @dataclass(frozen=True)
@@ -35,12 +36,12 @@ class MeshOptions:
 
     Attributes
     ----------
-    up : its upward axis.
+    up : its upward axis; None: that of `upward_axis`.
     front : the axis that its front looks along, across `up`; None: that of `FRONTS`.
     max_triangles : simplify above that number; None: never.
     """
 
-    up: str = "z"
+    up: str | None = None
     front: str | None = None
     max_triangles: int | None = None
 
@@ -50,23 +51,12 @@ COARSEST_STEP = 1e-3
 MOST_TRIANGLES, MOST_THINNED = 4_000_000, 16_000_000
 """Triangles of a mesh that is used as it is, and of one that `max_triangles` thins. Four million take 4.3 GiB and
 half a minute a scene, six million three minutes to be thinned; a laser scanner makes as many of a statue."""
+MOST_BYTES = 2**31
+"""Size of the largest file that is read, 2 GiB: 16 million triangles as text have some 1.3 GB."""
 MESHES_KEPT = 256
 """Meshes held in memory by each process; beyond that the oldest is dropped."""
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """The surface of a file.
-
-    Attributes
-    ----------
-    vertices, triangles : (V, 3) and (F, 3), in the file's coordinates.
-    doubt : what the file leaves open, in a line for users; "" where nothing.
-    """
-
-    vertices: Floats
-    triangles: NDArray[np.int64]
-    doubt: str
+PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zX": "xz", b"\x28\xb5\x2f\xfd": "zstd"}
+"""First bytes of a file → the program that packed it."""
 
 
 _cache: dict[tuple[str, int, int, MeshOptions], tuple[Solid, str]] = {}
@@ -95,13 +85,15 @@ def unit_mesh_and_doubt(path: Path, options: MeshOptions) -> tuple[Solid, str]:
 
 
 def read_mesh(path: Path) -> MeshFile:
-    """The surface of a mesh file. Raises `BadMesh`."""
+    """The surface of a mesh file, in its own coordinates, or, where its format fixes another axis than z as up,
+    turned about x until z is up. Raises `BadMesh`."""
     if not path.is_file():
         raise BadMesh("cannot be read (no such file)")
     mesh = _read(path, MeshOptions())
     if not np.isfinite(mesh.vertices).all():
         raise BadMesh("has vertices that are not finite; export it again")
-    return mesh
+    up = upward_axis(path)
+    return mesh if up == "z" else replace(mesh, vertices=mesh.vertices @ _upright(up, FRONTS[up]).T)
 
 
 def _unit(path: Path, options: MeshOptions) -> tuple[Solid, str]:
@@ -110,12 +102,15 @@ def _unit(path: Path, options: MeshOptions) -> tuple[Solid, str]:
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
         vertices, faces = cleaned(*simplified(vertices, faces, options.max_triangles))
-    vertices = vertices @ _upright(options.up, options.front or FRONTS[options.up]).T
+    up = options.up or upward_axis(path)
+    if options.front is not None and options.front[-1] == up[-1]:
+        raise BadMesh(f"has {up} as its upward axis, and front = {options.front} must lie across it; set another")
+    vertices = vertices @ _upright(up, options.front or FRONTS[up]).T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     if not high[2] - low[2] > 1e-9 * float((high - low).max()):
-        across = ", ".join(axis for axis in "xyz" if axis != options.up[-1])
+        across = ", ".join(axis for axis in "xyz" if axis != up[-1])
         raise BadMesh(
-            f"is flat along its upward axis {options.up}, so it has no height to scale; set another `up` ({across})"
+            f"is flat along its upward axis {up}, so it has no height to scale; set another `up` ({across})"
         )
     vertices = (vertices - [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]]) / (high[2] - low[2])
     return Solid.of(vertices, faces), mesh.doubt
@@ -147,16 +142,25 @@ def _read(path: Path, options: MeshOptions) -> MeshFile:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise BadMesh(f"is no mesh file that is known; convert it to one of {' '.join(SUFFIXES)}")
-    if path.stat().st_size == 0:
-        raise BadMesh("is empty (0 bytes); export it again")
+    if not path.is_file():
+        raise BadMesh("is no plain file; name a mesh file")
+    _check_content(path)
     try:
         _check_count(_triangles_told(path), options)
         with np.errstate(all="ignore"):
-            mesh = _of_polygons(path) if suffix in POLYGONS else _of_triangles(path)
+            match suffix:
+                case ".glb":
+                    glb = read_glb(path)
+                    _check_count(glb.triangles(), options)
+                    mesh = glb.surface()
+                case ".stl":
+                    mesh = read_stl(path)
+                case _:
+                    mesh = _of_polygons(path, options)
     except BadMesh:
         raise
-    except NotSimple as error:
-        raise BadMesh(f"has a face that has no triangles ({error}); triangulate it in a mesh editor") from None
+    except MemoryError:
+        raise BadMesh("does not fit into memory; thin it in a mesh editor") from None
     except Exception as error:
         # Whatever a parser stumbles over in a broken file is the file's fault, and its message the best there is.
         reason = " ".join(str(error).split())[:120] or type(error).__name__
@@ -168,9 +172,24 @@ def _read(path: Path, options: MeshOptions) -> MeshFile:
     return mesh
 
 
-def _of_polygons(path: Path) -> MeshFile:
+def _check_content(path: Path) -> None:
+    """Raise `BadMesh` for a file that is empty, too large or packed, whatever its format."""
+    size = path.stat().st_size
+    if size == 0:
+        raise BadMesh("is empty (0 bytes); export it again")
+    if size > MOST_BYTES:
+        raise BadMesh(f"has {size} bytes, and at most {MOST_BYTES} are read; thin it in a mesh editor")
+    with path.open("rb") as file:
+        start = file.read(4)
+    for mark, program in PACKED.items():
+        if start.startswith(mark):
+            raise BadMesh(f"is packed by {program}; unpack it first")
+
+
+def _of_polygons(path: Path, options: MeshOptions) -> MeshFile:
     """The surface of a file whose faces may have any number of corners."""
     faces = POLYGONS[path.suffix.lower()](path)
+    _check_count(int(np.maximum(faces.counts - 2, 0).sum()), options)
     triangles, bent = faces.triangles()
     doubt = (
         f"{bent} of {len(faces.counts)} faces have more than three corners and lie off a plane by more than "
@@ -178,22 +197,6 @@ def _of_polygons(path: Path) -> MeshFile:
         "mesh editor if it matters"
     )
     return MeshFile(faces.vertices, triangles, doubt if bent else "")
-
-
-def _of_triangles(path: Path) -> MeshFile:
-    """The surface of a file of triangles, by trimesh."""
-    import trimesh
-
-    loaded: Any = trimesh.load(path, force="scene", process=False, skip_materials=True)
-    vertices, triangles, offset = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    for node in loaded.graph.nodes_geometry:
-        transform, name = loaded.graph[node]
-        geometry = loaded.geometry[name]
-        if len(getattr(geometry, "faces", ())):
-            vertices.append(np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3])
-            triangles.append(np.asarray(geometry.faces, np.int64) + offset)
-            offset += len(vertices[-1])
-    return MeshFile(np.concatenate(vertices), np.concatenate(triangles), "")
 
 
 def _check_count(count: int, options: MeshOptions) -> None:
@@ -205,42 +208,21 @@ def _check_count(count: int, options: MeshOptions) -> None:
 
 
 def _triangles_told(path: Path) -> int:
-    """At least how many triangles a file holds, by its header, its size, or the marks of its text; 0 if unclear.
-
-    The nodes of a scene graph, which may show one mesh many times, are counted before they are expanded.
-    """
+    """At least how many triangles a file holds, by its header, its size, or the marks of its text; 0 if unclear."""
     with path.open("rb") as file:
         start = file.read(2**16)
         match path.suffix.lower():
             case ".glb":
-                file.seek(20)
-                return _triangles_of_nodes(json.loads(file.read(int.from_bytes(start[12:16], "little"))))
+                return 0
             case ".ply":
-                told = re.search(rb"element face +(\d+)", start.partition(b"end_header")[0])
+                told = re.search(rb"element[ \t]+face[ \t]+(\d+)", start.partition(b"end_header")[0])
                 return int(told[1]) if told else 0
             case ".stl":
-                count = int.from_bytes(start[80:84], "little")
-                if path.stat().st_size == 84 + 50 * count:
+                count = count_by_size(start[:HEADER_BYTES], path.stat().st_size)
+                if count is not None:
                     return count
         mark = b"\nf " if path.suffix.lower() == ".obj" else b"endfacet"
         return start.count(mark) + sum(piece.count(mark) for piece in iter(lambda: file.read(2**24), b""))
-
-
-def _triangles_of_nodes(tree: dict[str, Any]) -> int:
-    """The triangles of a glTF file's meshes, each as often as nodes show it. Raises `BadMesh` for nodes of several
-    parents, whose number could double from level to level."""
-
-    def size(primitive: dict[str, Any]) -> int:
-        used = primitive.get("indices"), primitive["attributes"].get("POSITION")
-        counts = [int(tree["accessors"][number]["count"]) for number in used if number is not None]
-        return max(counts, default=0) // 3
-
-    parents = Counter(child for node in tree.get("nodes", []) for child in node.get("children", []))
-    for node, count in parents.most_common(1):
-        if count > 1:
-            raise BadMesh(f"has a node ({node}) with {count} parents, and glTF allows one; export it again")
-    in_mesh = [sum(map(size, mesh["primitives"])) for mesh in tree.get("meshes", [])]
-    return max(sum(in_mesh), sum(in_mesh[int(node["mesh"])] for node in tree.get("nodes", []) if "mesh" in node))
 
 
 def cleaned(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:

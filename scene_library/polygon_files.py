@@ -14,18 +14,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scene_library.arrays import Floats
+from scene_library.mesh_file import BadMesh
 from scene_library.polygons import triangulate
+from scene_library.words import numbers_of, text_of
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 BENT = 0.05
 """Distance of a face's corners from their mean plane, relative to the face's size, above which its two halves may
 meet at more than some ten degrees, and which of them a file means is worth a warning."""
-
-
-class NotSimple(ValueError):
-    """A face whose outline crosses itself: no triangles have that outline."""
+MOST_CORNERS = 4000
+"""Corners of a face. Where it has notches the time goes with their square: 4000 take a second, 16 000 half a
+minute."""
+MOST_PAIRS = 4 * 10**8
+"""Pairs of corners of one face, in all faces with notches together, which take half a minute: 25 faces of 4000
+corners, or 40 000 of a hundred."""
 
 
 @dataclass(frozen=True)
@@ -47,20 +51,34 @@ class Faces:
     def triangles(self) -> tuple[Ints, int]:
         """(F, 3) triangles that cover the faces, and the number of faces bent by more than `BENT`.
 
-        Faces of fewer than three corners are left out. Raises `NotSimple` for a face whose outline crosses itself.
+        Faces of fewer than three corners are left out. Raises `BadMesh` for a face whose outline crosses itself, and
+        for more corners than can be handled.
         """
+        many = self.counts > MOST_CORNERS
+        if many.any():
+            first_one = int(many.argmax())
+            raise BadMesh(
+                f"has a face ({first_one + 1}) of {self.counts[first_one]} corners, and at most {MOST_CORNERS} are "
+                "handled; triangulate it in a mesh editor"
+            )
         first = np.cumsum(self.counts) - self.counts
         found, bent = [np.empty((0, 3), np.int64)], 0
-        held = np.append(self._can_be_measured(), False)
+        held, pairs = np.append(self._can_be_measured(), False), 0
         for count in np.unique(self.counts[self.counts >= 3]):
             which = np.flatnonzero(self.counts == count)
             faces = self.corners[first[which, None] + np.arange(count)]
             if count > 3:
                 # What cannot be measured stays a fan, so that the cleaning of the mesh says what is wrong with it.
                 measured = held[np.where((faces >= 0) & (faces < len(self.vertices)), faces, -1)].all(axis=1)
-                cut, more = _cut(self.vertices, faces[measured], which[measured])
+                plan, heights, convex = _flattened(self.vertices[faces[measured]])
+                pairs += int(count) ** 2 * int(np.count_nonzero(~convex))
+                if pairs > MOST_PAIRS:
+                    raise BadMesh(
+                        f"has too many faces with notches, of up to {count} corners; triangulate it in a mesh editor"
+                    )
+                cut = _cut(plan, convex, faces[measured], which[measured])
                 found.append(cut)
-                bent += more
+                bent += int(np.count_nonzero(heights > BENT))
                 faces = faces[~measured]
             found.append(_fans(faces))
         return np.concatenate(found), bent
@@ -76,17 +94,20 @@ def _fans(faces: Ints) -> Ints:
     return np.asarray(fans.reshape(-1, 3))
 
 
-def _cut(vertices: Floats, faces: Ints, numbers: Ints) -> tuple[Ints, int]:
-    """Triangles of faces (n, k) of k > 3 corners, and how many faces are bent; `numbers` are those of the faces."""
+def _cut(plan: Floats, convex: NDArray[np.bool_], faces: Ints, numbers: Ints) -> Ints:
+    """Triangles of faces (n, k) of k > 3 corners, as `_flattened` sees them; `numbers` are those of the faces."""
     from scene_library.ears import crosses_itself
 
-    plan, heights, convex = _flattened(vertices[faces])
     found = [_fans(faces[convex])]
     for row in np.flatnonzero(~convex):
         if crosses_itself(plan[row]):
-            raise NotSimple(f"face {numbers[row] + 1} of {len(plan[row])} corners crosses itself")
+            # No triangles have that outline.
+            raise BadMesh(
+                f"has a face that has no triangles (face {numbers[row] + 1} of {len(plan[row])} corners crosses "
+                "itself); triangulate it in a mesh editor"
+            )
         found.append(faces[row][triangulate(plan[row])])
-    return np.concatenate(found), int(np.count_nonzero(heights > BENT))
+    return np.concatenate(found)
 
 
 def _flattened(corners: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -122,21 +143,40 @@ def _across(place: Floats) -> Floats:
     return np.linalg.svd(place)[2][:, 2] if len(place) else np.empty((0, 3))
 
 
+_STATEMENT = rb"^[ \t]*%s(?=[ \t\\\n]|\Z)((?:[^\n#\\]+|\\[ \t]*(?:\n|\Z))*)(\\?)"
+"""A line `v` or `f` up to its comment. A backslash before its end continues it on the next line; nowhere else does
+it: names and comments, in which a backslash is a letter, end with their line, and no other line is read."""
+
+
 def read_obj(path: Path) -> Faces:
     """The faces of a Wavefront OBJ file: its lines `v` and `f`, the latter with indices from 1, or, below 0, counted
-    back from the last vertex before the line."""
-    text = path.read_bytes().replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\\\n", b" ")
-    places = list(re.finditer(rb"^[ \t]*v[ \t]+([^\n#]*)", text, re.MULTILINE))
-    lines = list(re.finditer(rb"^[ \t]*f[ \t]+([^\n#]*)", text, re.MULTILINE))
-    vertices = np.array([place[1].split()[:3] for place in places], np.float64).reshape(-1, 3)
+    back from the last vertex before the line. Raises `BadMesh` for surfaces that are no polygons."""
+    text = text_of(path.read_bytes())
+    other = re.search(rb"^[ \t]*(surf|bzp|bsp|cdc|cdp|fo|call)[ \t]", text, re.MULTILINE)
+    if other:
+        raise BadMesh(
+            f"has lines {other[1].decode()!r}, which bring surfaces that are no polygons of this file; convert it to "
+            "polygons in a mesh editor"
+        )
+    places, lines = (list(re.finditer(_STATEMENT % name, text, re.MULTILINE)) for name in (b"v", b"f"))
+    for found in (*places, *lines):
+        if found[2] or b"_" in found[1]:
+            raise ValueError(f"a backslash or _ within a line of numbers, {found[0][:40].decode('latin-1')!r}")
+    vertices = [_words(place)[:3] for place in places]
+    if not set(map(len, vertices)) <= {3}:
+        raise ValueError("a vertex of fewer than three coordinates")
     # Of vertex/texture/normal only the first.
-    faces = [re.sub(rb"/\S*", b"", line[1]).split() for line in lines]
+    faces = [_words(line) for line in lines]
     counts = np.array([len(face) for face in faces], np.int64)
-    corners = np.array([corner for face in faces for corner in face], np.int64)
+    corners = np.array([corner.partition(b"/")[0] for face in faces for corner in face], np.int64)
     if (corners < 0).any():
         before = np.searchsorted([place.start() for place in places], [line.start() for line in lines])
         corners += np.where(corners < 0, np.repeat(before, counts) + 1, 0)
-    return Faces(vertices, counts, corners - 1)
+    return Faces(numbers_of([x for place in vertices for x in place]).reshape(-1, 3), counts, corners - 1)
+
+
+def _words(statement: re.Match[bytes]) -> list[bytes]:
+    return statement[1].replace(b"\\", b" ").split()
 
 
 TYPES = {
@@ -159,18 +199,24 @@ def read_ply(path: Path) -> Faces:
     """The faces of a PLY file, text or binary: element `face`, and triangle strips (`tristrips`), where −1 ends a
     strip. Raises `ValueError` for a file that is cut short or has another header."""
     content = path.read_bytes()
-    header, mark, body = content.partition(b"end_header")
-    body = body.lstrip(b" \t\r")[1:] if body[:1] != b"\n" else body[1:]
-    if not header.startswith(b"ply") or not mark:
+    # A first line that ends in \r\n or \r alone says how the header's last line ends: numbers may follow it at once.
+    found = re.match(rb"ply[ \t]*(\r\n|\n|\r)(?:.*?[\r\n])??end_header[ \t]*(?:\1|\r?\n)", content, re.DOTALL)
+    if found is None:
         raise ValueError("no PLY header")
-    kind = re.search(rb"^format +(\S+)", header, re.MULTILINE)
+    header, body = text_of(found[0]), content[found.end() :]
+    kind = re.search(rb"^format[ \t]+(\S+)", header, re.MULTILINE)
     order = {b"binary_little_endian": "<", b"binary_big_endian": ">", b"ascii": "text"}[kind[1] if kind else b""]
     if order == "text":
         # The numbers of a text become those of a binary file all of whose numbers are double.
-        body = np.array(body.split(), np.float64).tobytes()
+        body = numbers_of(body.split()).tobytes()
     start, columns = 0, dict[str, dict[str, Floats | tuple[Ints, Ints]]]()
     for name, count, properties in _elements(header.decode("latin-1"), order):
+        if name in columns:
+            raise ValueError(f"two elements {name}")
         columns[name], start = _read_element(body, start, count, properties)
+    if body[start:].strip(b"" if order == "text" else b" \t\r\n\0"):
+        # Its header may have the number of an earlier state, so that the rest are faces, too.
+        raise ValueError("the file goes on after the elements that its header counts")
     if "vertex" not in columns:
         return Faces(np.empty((0, 3)), np.empty(0, np.int64), np.empty(0, np.int64))
     vertices = np.column_stack([np.asarray(columns["vertex"][axis], np.float64) for axis in "xyz"])

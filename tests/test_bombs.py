@@ -120,6 +120,32 @@ def map_of_zones(**members: Content) -> Callable[[Path], list[str]]:
     return command
 
 
+def mesh(name: str, content: Content) -> Callable[[Path], list[str]]:
+    """`plan` of a configuration that names a mesh file."""
+
+    def command(folder: Path) -> list[str]:
+        item = f"{{kind: mesh, path: {written(folder / name, content).name}, height_m: 1.0}}"
+        text = f"scenes: 1\nscene: {{contents: [{item}]}}\n"
+        return ["plan", str(written(folder / "c.yaml", text.encode()))]
+
+    return command
+
+
+def glb(accessor: dict[str, Any], **other: Any) -> bytes:
+    """A file of one triangle, at one point, whose accessor says other things too."""
+    tree = {
+        "asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"} | accessor],
+        "buffers": [{"byteLength": 36}],
+    }  # fmt: skip
+    text = json.dumps(tree | other).encode()
+    text += b" " * (-len(text) % 4)
+    parts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", 36, b"BIN\0") + bytes(36)
+    return b"glTF" + struct.pack("<II", 2, 12 + len(parts)) + parts
+
+
 def tal(**other: Any) -> Callable[[Path], list[str]]:
     def command(folder: Path) -> list[str]:
         lib = pytest.importorskip("h5py", reason="h5py is not installed (extra `export`)")
@@ -196,6 +222,20 @@ BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "edges: a long text": edges("a.csv", b"0," + b"0" * 10**6),
     "edges: a shape without values": edges("a.npz", edges_ps=declared((10**12,))),
     "map of zones: a shape without values": map_of_zones(extent=declared((4,), bytes(32)), weights=HUGE),
+    "glb: more vertices than its bytes": mesh("a.glb", glb({"count": 3 * 10**6})),
+    "glb: a wider type than its bytes": mesh("a.glb", glb({"count": 3 * 10**6, "type": "MAT4"})),
+    "glb: sparse values beyond its bytes": mesh("a.glb", glb({"sparse": {
+        "count": 10**9, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 0},
+    }})),
+    "glb: a buffer without end": mesh("a.glb", glb({}, buffers=[{"byteLength": 36, "uri": "/dev/zero"}])),
+    "glb: nested JSON": mesh("a.glb", b"glTF" + struct.pack("<3I4s", 2, 10**6 + 20, 10**6, b"JSON") + b"[" * 10**6),
+    "ply: more than it has": mesh("a.ply", b"ply\nformat binary_little_endian 1.0\nelement vertex 1000000000\n"
+        b"property float x\nproperty float y\nproperty float z\nelement face 1\n"
+        b"property list uint int vertex_indices\nend_header\n"),
+    "ply: a list longer than it": mesh("a.ply", b"ply\nformat binary_little_endian 1.0\nelement face 1\n"
+        b"property list uint int vertex_indices\nend_header\n\xff\xff\xff\xff"),
+    "obj: a face of 100 000 corners": mesh("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 1\nf" + b" 1 2 3" * 33334),
+    "stl: more than it has": mesh("a.stl", bytes(80) + b"\xff\xff\xff\xff"),
     "y-tal: aliases": tal(scene_info=f"{ALIASES}volume: {{center: *g, size: *g}}\n"),
     "y-tal: compressed zeros": tal_zeros(20, (20 * 2**20, 3, 3), (2**20, 3, 3)),
     "y-tal: a chunk larger than its array": tal_zeros(0, (8, 3, 3), (2**23, 3, 3)),

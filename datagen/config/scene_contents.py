@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_v
 from datagen.config.base import check_known, folder_of, is_stored
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, within
 from datagen.config.scene_materials import SurfaceMaterial
-from scene_library.meshes import SUFFIXES
+from scene_library.meshes import SUFFIXES, upward_axis
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,40}$")]
@@ -148,8 +148,8 @@ class MeshItem(Standing):
     path: Annotated[str, Field(min_length=1)]
     height_m: Length = Uniform(uniform=(0.5, 1.5))
     """The object is scaled to this height."""
-    up: Axis = "z"
-    """The axis of the file that points up."""
+    up: Axis | None = None
+    """The axis of the file that points up. Left out: y of .glb files, whose format says so; z of others."""
     front: Axis | None = None
     """The axis of the file along which the object's front looks, at right angles to `up`; width, depth and box of the
     object follow from it. Left out: -y with up = z, z with up = y."""
@@ -182,7 +182,7 @@ class MeshItem(Standing):
 
     def _check(self) -> None:
         super()._check()
-        if self.front is not None and self.front[-1] == self.up[-1]:
+        if self.front is not None and self.up is not None and self.front[-1] == self.up[-1]:
             raise ValueError(f"front = {self.front!r}: must lie across up = {self.up!r}; choose another axis")
 
 
@@ -192,6 +192,12 @@ class Mesh(MeshItem):
     kind: Literal["mesh"] = "mesh"
     path: Annotated[str, Field(min_length=1)]
     """An .obj, .ply, .stl or .glb file; relative to the configuration's folder."""
+
+    def _check(self) -> None:
+        if self.up is None:
+            # A dataset stores what holds for its file.
+            object.__setattr__(self, "up", upward_axis(self.path))
+        super()._check()
 
     def _look(self) -> None:
         if not self.place.is_file():

@@ -45,7 +45,8 @@ from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
 from datagen.transport.rays import Raycaster
-from scene_library.meshes import BadMesh, read_mesh
+from scene_library.mesh_file import BadMesh
+from scene_library.meshes import read_mesh
 
 Group = Literal["hand", "mesh", "zones"]
 GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
@@ -183,7 +184,8 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     """The parts of mesh files in metres, in the coordinates of the poses: their albedos are fitted one by one.
 
     A file is divided at its concave edges, where surfaces usually change (a thing on a table), as far as these cut it
-    into pieces. Raises `InputError` for a file that cannot be read.
+    into pieces. A `.glb`, whose y is up, is turned about x until z is up. Raises `InputError` for a file that
+    cannot be read.
     """
     # Here, because it takes half a second, and every command that makes a scene imports this module.
     import trimesh

@@ -27,7 +27,8 @@ from datagen.errors import InputError
 from datagen.records import Lambertian, Material, Scalar
 from datagen.scene.relay_wall import draw_clutter, draw_relay_wall
 from scene_library.layouts import PLANS
-from scene_library.meshes import BadMesh, MeshOptions, unit_mesh_and_doubt
+from scene_library.mesh_file import BadMesh
+from scene_library.meshes import MeshOptions, unit_mesh_and_doubt
 from scene_library.objects import build
 from scene_library.placement import Occupied
 from scene_library.rooms import FloorPlan, mirrored, out_of_square, surfaces, wall_groups

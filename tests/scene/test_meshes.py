@@ -18,7 +18,8 @@ from datagen.errors import InputError
 from datagen.records import Scene
 from datagen.scene import check_scene_config, generate_scene
 from scene_library import meshes
-from scene_library.meshes import BadMesh, MeshOptions, unit_mesh
+from scene_library.mesh_file import BadMesh
+from scene_library.meshes import MeshOptions, unit_mesh
 
 
 def spec_with(path: str, base: Path, **keys: object) -> DatasetConfig:
@@ -49,7 +50,8 @@ def test_every_format_and_unit_gives_the_same_object(tmp_path: Path, scale: floa
         _write(tmp_path, "lump.obj", obj_of(lump(), scale))
     lump().export(tmp_path / "reference.ply")
     expected, *found = (
-        object_corners(generate_scene(spec_with(file, tmp_path).scene, 0, 0)) for file in ("reference.ply", *names)
+        object_corners(generate_scene(spec_with(file, tmp_path, up="z").scene, 0, 0))
+        for file in ("reference.ply", *names)
     )
     for corners in found:
         assert len(corners) == len(expected) == len(lump().faces)
@@ -70,7 +72,7 @@ def test_scene_graphs_are_flattened_with_their_transforms(tmp_path: Path) -> Non
     graph.add_geometry(box, node_name="low")
     graph.add_geometry(box, node_name="high", transform=trimesh.transformations.translation_matrix([3, 0, 2]))
     graph.export(tmp_path / "two.glb")
-    unit = unit_mesh(tmp_path / "two.glb", MeshOptions())
+    unit = unit_mesh(tmp_path / "two.glb", MeshOptions(up="z"))
     assert len(unit.triangles) == 24
     np.testing.assert_allclose(np.ptp(unit.vertices, axis=0), [4 / 3, 1 / 3, 1], atol=1e-6)
 

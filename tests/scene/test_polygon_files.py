@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import re
 import struct
 import warnings
 from pathlib import Path
@@ -14,7 +16,9 @@ from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
 from datagen.devices.compare import read_parts
 from datagen.errors import InputError, InputWarning
-from scene_library.meshes import BadMesh, MeshOptions, read_mesh, unit_mesh
+from scene_library import polygon_files
+from scene_library.mesh_file import BadMesh
+from scene_library.meshes import MeshOptions, read_mesh, unit_mesh
 from scene_library.polygon_files import Faces, read_obj, read_ply
 from scene_library.polygons import signed_area, triangulate
 
@@ -128,6 +132,135 @@ def test_obj_lines_as_programs_write_them(tmp_path: Path) -> None:
     assert faces.counts.tolist() == [3, 3, 2, 3, 4]
     triangles, _ = faces.triangles()
     assert triangles.tolist() == [[0, 1, 2], [0, 2, 3], [4, 3, 0], [0, 1, 2], [0, 2, 3]]
+
+
+BOX = trimesh.creation.box((1, 2, 3))
+OBJ = obj(BOX.vertices, BOX.faces.tolist()).decode() + "\n"
+
+
+def with_lines(*lines: str) -> str:
+    """A box's file with these lines before each of its faces."""
+    return OBJ.replace("\nf ", "\n" + "\n".join(lines) + "\nf ")
+
+
+OBJ_TEXTS: dict[str, str | bytes] = {
+    "a comment that ends in a backslash": with_lines("# C:\\parts\\"),
+    "a comment after the numbers": OBJ.replace("\n", " # C:\\\n"),
+    "a material": with_lines("usemtl wood\\"),
+    "a group": with_lines("g left\\ "),
+    "an object": with_lines("o C:\\box\\"),
+    "a library": with_lines("mtllib C:\\looks\\"),
+    "many of them, with CR LF": with_lines("# a\\", "usemtl b\\", "s off\\").replace("\n", "\r\n"),
+    "lines that end in CR": with_lines("o a\\").replace("\n", "\r"),
+    "faces on several lines": re.sub(r"f (\S+) (\S+) (\S+)", r"f \\\n\1 \\\n \2\\ \n\3", OBJ),
+    "vertices on several lines": re.sub(r"v (\S+) (\S+)", r"v\\\n \1 \\\n\2", OBJ),
+    "a backslash at the very end": OBJ.rstrip() + "\\",
+    "a byte order mark": b"\xef\xbb\xbf" + OBJ.encode(),
+    "tabs and trailing blanks": OBJ.replace(" ", "\t").replace("\n", " \t\n"),
+    "exponents and signs": re.sub(r"(-?)(\d)\.(\d)", lambda m: f"{m[1] or '+'}{m[2]}{m[3]}.0E-1", OBJ),
+    "textures and normals": with_lines("vt 0 0", "vn 0 0 1").replace(" 1 ", " 1/1/1 "),
+}
+
+
+@pytest.mark.parametrize("name", OBJ_TEXTS)
+def test_no_line_of_an_obj_file_swallows_another(tmp_path: Path, name: str) -> None:
+    content = OBJ_TEXTS[name]
+    (tmp_path / "a.obj").write_bytes(content if isinstance(content, bytes) else content.encode())
+    mesh = read_mesh(tmp_path / "a.obj")
+    np.testing.assert_array_equal(mesh.vertices, BOX.vertices)
+    np.testing.assert_array_equal(mesh.triangles, BOX.faces)
+
+
+@pytest.mark.parametrize(
+    ("content", "match"),
+    [
+        (OBJ.replace("f ", "f 1\\2 ", 1), r"^cannot be parsed \(a backslash or _ within"),
+        (OBJ.replace("v 0.5", "v 0_5", 1).replace("v -0.5", "v -0_5", 1), r"^cannot be parsed \(a backslash or _"),
+        (OBJ.replace("f ", "v 1 2\nf ", 1), r"^cannot be parsed \(a vertex of fewer than three coordinates"),
+        (OBJ.replace("f ", "v\nf ", 1), r"^cannot be parsed \(a vertex of fewer than three coordinates"),
+        (OBJ.replace("f ", "f 1 2 x\nf ", 1), r"^cannot be parsed"),
+        (OBJ + "surf 0 1 0 1 1 2 3\n", r"^has lines 'surf', which bring surfaces that are no polygons"),
+        (OBJ + "call more.obj\n", r"^has lines 'call'"),
+        (OBJ.replace("\n", "\n\0\0", 1), r"^is text with NUL bytes in it, so it is damaged"),
+        (OBJ.encode("utf-16").decode("latin-1"), r"^is text in UTF-16; save it as plain text"),
+        (gzip.compress(OBJ.encode()).decode("latin-1"), r"^is packed by gzip; unpack it first"),
+    ],
+)
+def test_obj_files_that_are_refused(tmp_path: Path, content: str, match: str) -> None:
+    (tmp_path / "a.obj").write_bytes(content.encode("latin-1"))
+    with pytest.raises(BadMesh, match=match):
+        read_mesh(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("kind", PLY_KINDS)
+def test_ply_files_by_their_line_ends(tmp_path: Path, kind: str, end: str) -> None:
+    """The first number follows the header's last line at once."""
+    vertices, faces = letter()
+    vertices = vertices + 10
+    # In a binary file the first byte looks like an end of line, too.
+    vertices[0, 0] = np.frombuffer(b"\n\r\n\r\x00\x00\x24\x40" if "little" in kind else b"@$\n\r\n\r\n\r")[0]
+    content = ply(vertices, faces, kind)
+    header, mark, body = content.partition(b"end_header\n")
+    body = body.replace(b"\n", end.encode()) if kind == "ascii" else body
+    header = header.replace(b"vertex_indices", b"vertex_indices\ncomment end_header is not here")
+    (tmp_path / "a.ply").write_bytes((header + mark).replace(b"\n", end.encode()) + body)
+    found = read_ply(tmp_path / "a.ply")
+    np.testing.assert_array_equal(found.vertices, vertices)
+    assert found.counts.tolist() == [len(face) for face in faces]
+
+
+@pytest.mark.parametrize("kind", PLY_KINDS)
+def test_a_ply_file_of_more_than_its_header_counts_is_refused(tmp_path: Path, kind: str) -> None:
+    vertices, faces = letter()
+    content = ply(vertices, faces, kind).replace(b"element face 10", b"element face 8")
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(BadMesh, match=r"the file goes on after the elements that its header counts"):
+        read_mesh(tmp_path / "a.ply")
+
+
+def wave(corners: int) -> np.ndarray:
+    """An outline with a notch at every second corner."""
+    angle = 2 * np.pi * np.arange(corners) / corners
+    reach = 1 + 0.2 * (np.arange(corners) % 2)
+    return np.stack([reach * np.cos(angle), 0 * angle, reach * np.sin(angle)], axis=1)
+
+
+@pytest.mark.parametrize("kind", ["obj", *PLY_KINDS])
+def test_corners_of_a_face_are_bounded(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / ("a.obj" if kind == "obj" else "a.ply")
+
+    def write(corners: int) -> None:
+        outline = wave(min(corners, 250))
+        face = [[k % len(outline) for k in range(corners)]]
+        path.write_bytes(obj(outline, face) if kind == "obj" else ply(outline, face, kind))
+
+    # The binary files here count corners in a byte.
+    if kind in ("obj", "ascii"):
+        for corners in (polygon_files.MOST_CORNERS + 1, 300_000):
+            write(corners)
+            with pytest.raises(
+                BadMesh, match=rf"^has a face \(1\) of {corners} corners, and at most 4000 are handled"
+            ):
+                read_mesh(path)
+    write(250)
+    assert len(read_mesh(path).triangles) == 248
+
+
+def test_faces_with_notches_are_bounded_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(polygon_files, "MOST_PAIRS", 2 * 50**2)
+    outline = wave(50)
+    for faces, is_read in ((2, True), (3, False)):
+        (tmp_path / "a.obj").write_bytes(obj(outline, [list(range(50))] * faces))
+        if is_read:
+            assert len(read_mesh(tmp_path / "a.obj").triangles) == 48 * faces
+        else:
+            with pytest.raises(BadMesh, match=r"^has too many faces with notches, of up to 50 corners; triangulate"):
+                read_mesh(tmp_path / "a.obj")
+    # Faces without notches are no work.
+    disc = np.stack([np.cos(np.arange(50) * np.pi / 25), np.zeros(50), np.sin(np.arange(50) * np.pi / 25)], axis=1)
+    (tmp_path / "b.obj").write_bytes(obj(disc, [list(range(50))] * 20))
+    assert len(read_mesh(tmp_path / "b.obj").triangles) == 960
 
 
 @pytest.mark.parametrize("kind", PLY_KINDS)
