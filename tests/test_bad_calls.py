@@ -105,7 +105,7 @@ WRONG: dict[str, Callable[[], tuple[Callable[..., object], dict[str, Any], Argum
         "time": [64], "components": [[LIGHT], {}, {"primary": LIGHT.tolist()}, {"primary": LIGHT[..., 1:]}],
         "parts": [{"box": LIGHT[:, :1]}], "stderr": [None], "overflow": [LIGHT], "laser_points": [np.zeros((1, 2))],
         "seconds": [{"trace": "1 s"}], "rays": [[3]], "samplers": [{"primary": 3}],
-        "error_bound": ["1 %"], "met_target": ["yes"]}),
+        "claimed_error": ["1 %"], "met_target": ["yes"]}),
     "Sample": lambda: (dg.Sample, {"index": 0, "arrays": {}, "parameters": {}, "seconds": {}}, {
         "index": ["first"], "arrays": [[LIGHT], {"depth": [[1.0]]}], "parameter": [None, {"x": [1]}],
         "seconds": [{"scene": "long"}]}),
@@ -221,7 +221,9 @@ def test_a_keyword_that_was_renamed_is_read() -> None:
 
 
 def test_what_is_usual_is_not() -> None:
-    assert transient(samplers={"primary": "paths"}, error_bound=np.float64(0.01), met_target=np.True_).total is LIGHT
+    assert (
+        transient(samplers={"primary": "paths"}, claimed_error=np.float64(0.01), met_target=np.True_).total is LIGHT
+    )
     assert "2 pixels" in repr(transient()) and "\n" not in repr(transient())
     assert dg.SceneConfig(contents=()).contents == () and dg.EffectsConfig().tolerance > 0
     with warnings.catch_warnings():

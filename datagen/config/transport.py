@@ -30,8 +30,8 @@ class TransportConfig(Settings):
     max_bounces: Annotated[int, Field(ge=3, le=MAX_BOUNCES)] | None = Accuracy.max_bounces
     """Highest number of bounces; 3 is the primary, 4 adds the secondary; null: all."""
     direct: bool = False
-    """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out. True unless
-    given with a `capture.device` that lights all at once, which looks straight at things."""
+    """Also simulate the direct return (1 and 2 bounces), which a gated measurement keeps out. With a `capture.device`
+    that lights all at once, which looks straight at things, it is true unless it is given."""
     part_target: Annotated[float, _within("part_target")] | None = None
     """With `target`: relative L2 error of each object's own primary that is aimed at; left out: 2.5 times the target,
     at most 1."""

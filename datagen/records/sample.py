@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +41,8 @@ class Transient:
     laser_points : (L, 3) where each laser ray met the scene, metres; NaN where it met nothing. For a flood L here is
         the number of its points, and 1 in the other arrays.
     seconds : wall-clock seconds of the simulation by stage.
-    error_bound : with an accuracy target, the relative L2 error that is claimed: an estimate; None with a number of
-        samples.
+    claimed_error : with an accuracy target, the relative L2 error that is claimed, an estimate; None with a number of
+        samples. Up to 1.0 its name was `error_bound`, which goes on to work with a warning.
     met_target : whether the claimed error is within a quarter of the target, and each object's within the part
         target; None with a number of samples.
     part_errors : with an accuracy target, object part → estimated relative L2 error of its own primary. Parts fainter
@@ -61,7 +63,7 @@ class Transient:
     overflow: Floats
     laser_points: Floats
     seconds: Mapping[str, float] = field(default_factory=dict)
-    error_bound: float | None = None
+    claimed_error: float | None = None
     met_target: bool | None = None
     part_errors: Mapping[str, float] = field(default_factory=dict)
     samplers: Mapping[str, str] = field(default_factory=dict)
@@ -84,8 +86,8 @@ class Transient:
         for name, what in (("seconds", "stage"), ("rays", "component"), ("part_errors", "part")):
             check_mapping(f"Transient.{name}", getattr(self, name), *_NUMBERS, remedy=f"{what} → number")
         check_mapping("Transient.samplers", self.samplers, str, remedy="component → sampler")
-        if self.error_bound is not None:
-            check_kind("Transient.error_bound", self.error_bound, *_NUMBERS)
+        if self.claimed_error is not None:
+            check_kind("Transient.claimed_error", self.claimed_error, *_NUMBERS)
         if self.met_target is not None:
             check_flag("Transient.met_target", self.met_target)
 
@@ -108,10 +110,37 @@ class Transient:
     def relative_error(self) -> float:
         """Relative L2 error of the whole transient: with a target the one claimed, else the estimate
         ‖stderr‖ / ‖total‖; 0 for a transient without light."""
-        if self.error_bound is not None:
-            return self.error_bound
+        if self.claimed_error is not None:
+            return self.claimed_error
         norm = float(np.linalg.norm(self.total))
         return float(np.linalg.norm(self.stderr)) / norm if norm > 0 else 0.0
+
+    @property
+    def error_bound(self) -> float | None:
+        """The former name of `claimed_error`, which is an estimate and no bound."""
+        _warn_of_bound()
+        return self.claimed_error
+
+
+def _warn_of_bound() -> None:
+    what = "Transient.error_bound is an estimate and no bound; its name is claimed_error"
+    warnings.warn(what, DeprecationWarning, stacklevel=3)
+
+
+def _with_former_name(init: Callable[..., None]) -> Callable[..., None]:
+    """The constructor of `Transient`, which also takes `claimed_error` by its former name."""
+
+    @functools.wraps(init)
+    def accepting(self: Transient, *values: Any, **named: Any) -> None:
+        if "error_bound" in named:
+            _warn_of_bound()
+            named.setdefault("claimed_error", named.pop("error_bound"))
+        init(self, *values, **named)
+
+    return accepting
+
+
+Transient.__init__ = _with_former_name(Transient.__init__)  # type: ignore[method-assign]
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class Estimate:
     parts: dict[str, Floats]
     stderr: Floats
     overflow: Floats
-    error_bound: float | None = None
+    claimed_error: float | None = None
     met_target: bool | None = None
     part_errors: Mapping[str, float] = field(default_factory=dict)
     samplers: Mapping[str, str] = field(default_factory=dict)

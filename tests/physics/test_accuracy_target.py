@@ -91,7 +91,7 @@ def test_it_says_where_its_light_comes_from_and_a_smaller_target_takes_more() ->
     tight = simulate(furnished_box(0.7), one_point_capture(time=AXIS), Accuracy(max_bounces=5, target=0.005), seed=0)
     assert all(tight.rays[name] > 2 * run.rays[name] > 0 for name in run.rays)
     assert tight.relative_error < 0.3 * run.relative_error
-    assert run.relative_error == run.error_bound
+    assert run.relative_error == run.claimed_error
 
 
 def test_nothing_visible_ends_with_zero() -> None:

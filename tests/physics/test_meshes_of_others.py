@@ -40,7 +40,9 @@ def test_light_of_one_pair_errs_as_it_claims(scene: int, pair: int, what: str, s
     error2 = claim2 = 0.0
     for seed in range(SEEDS):
         ours = simulate(foreign.scene, capture, accuracy, seed=seed)
-        found, claim = (ours.total, ours.error_bound) if what == WHOLE else (ours.parts[what], ours.part_errors[what])
+        found, claim = (
+            (ours.total, ours.claimed_error) if what == WHOLE else (ours.parts[what], ours.part_errors[what])
+        )
         assert claim is not None
         error2 += truth.check(found, *(ours.components if what == WHOLE else [what])).square
         claim2 += claim**2
