@@ -12,8 +12,8 @@ from typing import Any, ClassVar, NoReturn, cast
 import click
 
 from datagen._version import __version__
-from datagen.errors import CheckError
-from datagen.exit_status import CHANGED_NOTHING, GOES_ON, exit_with, guarded, if_ended
+from datagen.errors import CheckError, as_line
+from datagen.exit_status import CHANGED_NOTHING, GOES_ON, exit_with, guarded, if_ended, say
 
 
 @click.group(
@@ -30,7 +30,7 @@ def cli(context: click.Context) -> None:
 def _help_alone(context: click.Context) -> None:
     """Print the help of a group that is named without a command."""
     if context.invoked_subcommand is None:
-        click.echo(context.get_help())
+        say(context.get_help())
 
 
 @cli.command()
@@ -47,7 +47,7 @@ def plan(config: str, scenes: int | None, workers: int, seconds: float, json_pat
     settings = load_config(config)
     if scenes is not None:
         settings = settings.with_scenes(scenes)
-    click.echo(make_plan(settings, workers, seconds, json_path))
+    say(make_plan(settings, workers, seconds, json_path))
 
 
 @cli.command()
@@ -78,7 +78,7 @@ def calibrate(
         found = fit(
             frames, device(name), albedo=albedo, held_out=not everything, nearest_m=nearest, doing=progress.doing
         )
-    click.echo(found.text())
+    say(found.text())
     write_device(found.device, out)
     if picture is not None:
         from datagen.report.device_plots import draw_calibration
@@ -130,7 +130,7 @@ def compare(
         frames, parts = read_frames(captures), read_parts(meshes)
         with closing(Progress(not quiet)) as progress:
             found = held_against(frames, device(name), parts, fit=groups, doing=progress.doing)
-    click.echo(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
+    say(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
     if out is not None and found.device is not None:
         write_device(found.device, out)
     if picture is not None:
@@ -153,12 +153,12 @@ def device(names: tuple[str, ...], out: str | None) -> None:
     if out is not None:
         from datagen.report.device_sheet import device_sheet
 
-        click.echo(device_sheet([named(name) for name in names or device_names()], out))
+        say(device_sheet([named(name) for name in names or device_names()], out))
         return
     for name in names:
-        click.echo(str(named(name)))
+        say(str(named(name)))
     if not names:
-        click.echo("\n".join(f"{name:14} {named(name).description}" for name in device_names()))
+        say("\n".join(f"{name:14} {named(name).description}" for name in device_names()))
 
 
 @cli.command()
@@ -199,12 +199,12 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
             options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
     result = build_dataset(settings, out, progress=not quiet, **options)
     if quiet and result.noisy:
-        click.echo(result.noisy, err=True)
-    click.echo(result.summary())
+        say(as_line(result.noisy), err=True)
+    say(as_line(result.summary()))
     if result.complete and not quiet:
         # Scenes of an object store are not drawn.
         draw = f"; datagen show {shlex.quote(out)} 0" if isinstance(result.path, Path) else ""
-        click.echo(f"next: datagen info {shlex.quote(out)}{draw}", err=True)
+        say(as_line(f"next: datagen info {shlex.quote(out)}{draw}"), err=True)
 
 
 @cli.command()
@@ -226,11 +226,11 @@ def verify(dataset: str, deep: bool, resimulate: int) -> None:
         problems += differing
         again = f"; scenes simulated again: {', '.join(map(str, scenes))}"
     for problem in problems:
-        click.echo(problem)
+        say(as_line(problem))
     if problems:
         raise CheckError(f"{dataset}: {len(problems)} problems; build it again to mend them")
     state = f"{found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written{again}"
-    click.echo(f"{dataset}: {state}")
+    say(as_line(f"{dataset}: {state}"))
 
 
 @cli.command()
@@ -240,7 +240,7 @@ def digest(dataset: str) -> None:
     if_ended(CHANGED_NOTHING)
     from datagen.store.verify import dataset_digest
 
-    click.echo(dataset_digest(dataset))
+    say(dataset_digest(dataset))
 
 
 @cli.command()
@@ -250,7 +250,7 @@ def info(dataset: str) -> None:
     if_ended(CHANGED_NOTHING)
     from datagen.store.info import info as describe
 
-    click.echo(describe(dataset))
+    say(describe(dataset))
 
 
 @cli.command()
@@ -262,10 +262,10 @@ def show(dataset: str, index: int, out: str | None) -> None:
     from datagen.report.pages import show as draw
 
     for picture in draw(dataset, index, out):
-        click.echo(picture)
+        say(as_line(str(picture)))
     # On standard error, so that standard output has paths alone.
     then = f"next: datagen preview {shlex.quote(dataset)}; README (Train on it) trains a network on such a dataset"
-    click.echo(then, err=True)
+    say(as_line(then), err=True)
 
 
 @cli.command()
@@ -276,7 +276,7 @@ def preview(dataset: str, out: str | None, scenes: int) -> None:
     """Put DATASET on one HTML page: state, rooms, what varies, a few scenes."""
     from datagen.report.preview import preview as make_page
 
-    click.echo(make_page(dataset, out, scenes))
+    say(as_line(str(make_page(dataset, out, scenes))))
 
 
 @cli.command()
@@ -290,7 +290,7 @@ def sheet(configs: tuple[str, ...], out: str, rooms: int, labels: int | None) ->
     from datagen.report.contact_sheet import contact_sheet, label_sheet
 
     settings = [load_config(config) for config in configs]
-    click.echo(contact_sheet(settings, rooms, out) if labels is None else label_sheet(settings, labels, out))
+    say(contact_sheet(settings, rooms, out) if labels is None else label_sheet(settings, labels, out))
 
 
 @cli.command()
@@ -302,9 +302,7 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
     """Compute the paper's figures, as printed and radiometrically, into the folder OUT: a page and all numbers."""
     from datagen.paper.reproduce import reproduce as write
 
-    click.echo(
-        write(out, config, quick, (lambda stage: None) if quiet else (lambda stage: click.echo(stage, err=True)))
-    )
+    say(write(out, config, quick, (lambda stage: None) if quiet else (lambda stage: say(stage, err=True))))
 
 
 @cli.command()
@@ -318,12 +316,12 @@ def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
     from datagen.suites.catalogue import build_suite, find_suite, listing
 
     if name is None:
-        click.echo(listing())
+        say(listing())
         return
     find_suite(name)
     if out is None:
         raise click.UsageError("missing argument 'OUT'", click.get_current_context())
-    click.echo(build_suite(name, out, workers, progress=not quiet).summary())
+    say(build_suite(name, out, workers, progress=not quiet).summary())
 
 
 @cli.command()
@@ -337,7 +335,7 @@ def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
     from datagen.scoring.scores import score as scored
 
     scores = scored(suite, predictions, split)
-    click.echo(scores.json() if as_json else scores.table())
+    say(scores.json() if as_json else scores.table())
 
 
 @cli.command()
@@ -350,7 +348,7 @@ def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
     """Predict SUITE by METHOD (mean, backprojection or network) into the file OUT, which `datagen score` reads."""
     from datagen.baselines import write_baseline
 
-    click.echo(write_baseline(method, suite, out, split, seed))
+    say(write_baseline(method, suite, out, split, seed))
 
 
 @cli.command()
@@ -367,7 +365,7 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
     from datagen.formats import export as write
 
     for path in write(dataset, out, form, scenes, field):
-        click.echo(path)
+        say(as_line(str(path)))
 
 
 @cli.command("import")
@@ -392,7 +390,7 @@ def import_files(files: tuple[str, ...], out: str, form: str | None, quiet: bool
     from datagen.formats import import_captures
 
     result = import_captures(files, out, format=form, progress=not quiet, **options)
-    click.echo(result.summary())
+    say(as_line(result.summary()))
 
 
 class _Benches(click.Group):
@@ -431,7 +429,7 @@ def schema() -> None:
 
     from datagen.config import json_schema
 
-    click.echo(json.dumps(json_schema(), indent=2, ensure_ascii=False))
+    say(json.dumps(json_schema(), indent=2, ensure_ascii=False))
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:

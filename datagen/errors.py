@@ -25,3 +25,8 @@ class CheckError(RuntimeError):
 def printable(text: str) -> str:
     """`text` with its control characters, except line ends, as escapes: text from files must not steer a terminal."""
     return "".join(c if c == "\n" or c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
+def as_line(text: str) -> str:
+    """`text` as one line: line ends are spaces, other control characters escapes."""
+    return printable(" ".join(text.splitlines()))

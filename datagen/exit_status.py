@@ -31,6 +31,12 @@ _received = list[int]()
 """Signals that end this process. What goes wrong after the first of them is its doing, and nothing is said of it."""
 
 
+def say(text: object, err: bool = False) -> None:
+    """Print what a command has to say, to standard output or (`err`) standard error. Whatever names of files,
+    datasets and scenes hold, no character steers the terminal."""
+    click.echo(printable(str(text)), err=err)
+
+
 def if_ended(what: str) -> None:
     """Let the last line of this process say `what`, should a signal end the command that is at work."""
     _at_end[:] = [what]
@@ -112,7 +118,7 @@ def guarded(command: click.Command, arguments: Sequence[str] | None = None, name
         if category.__module__.startswith("datagen."):
             _complain(f"warning: {message}", 0)
         else:
-            show_others(message, category, *where, **more)
+            show_others(printable(str(message)), category, *where, **more)
 
     warnings.showwarning = show
     try:

@@ -7,24 +7,29 @@ memory is taken for it, and lists of numbers become arrays piece by piece.
 
 from __future__ import annotations
 
+import errno
 import gzip
 import io
 import json
 import math
+import os
 import re
+import stat
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from datagen.errors import InputError, TooLargeError, printable
+from datagen.errors import CheckError, InputError, TooLargeError, printable
 
+NO_PLAIN_FILE = "is no plain file (but a pipe, socket or device)"
+"""What is said of what could have no end, or make its reader wait."""
 MOST_BYTES = 2**31
 """Size of the largest file that is read, 2 GiB."""
 MOST_TEXT_BYTES = 2**28
@@ -42,6 +47,43 @@ ALWAYS_BYTES = 4 * 2**20
 _MOST_HEAD_BYTES = 10_000
 """Length of the longest head of an array that numpy itself reads."""
 _PIECE_BYTES = 2**18
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[tuple[int, BinaryIO]]:
+    """Size and content of a plain file. Raises `OSError` if there is none (errno EINVAL for what is no plain file,
+    and may have no end or make its reader wait: a folder, pipe, socket or device, or a link to one), and `CheckError`
+    if this process has too many files open."""
+    try:
+        # Without O_NONBLOCK opening a pipe would wait for a writer.
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
+        if error.errno == errno.ENXIO:
+            # A socket cannot be opened.
+            raise OSError(errno.EINVAL, NO_PLAIN_FILE, str(path)) from None
+        raise
+    with open(handle, "rb") as file:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, NO_PLAIN_FILE, str(path))
+        yield status.st_size, file
+
+
+def content_of(path: Path) -> bytes:
+    """The content of a plain file; raises as `opened`."""
+    with opened(path) as (_, file):
+        return file.read()
+
+
+def why_no_file(path: Path) -> str | None:
+    """Words on what is in the place of a plain file; None if there is one."""
+    if path.is_file():
+        return None
+    if path.is_dir():
+        return "is a directory"
+    return NO_PLAIN_FILE if path.exists() else "no such file"
 
 
 @contextmanager
@@ -68,7 +110,7 @@ def read_text(path: Path) -> bytearray:
     errors of `gzip` for a damaged file.
     """
     content = bytearray()
-    with path.open("rb") as stored:
+    with opened(path) as (_, stored):
         packed = path.suffix == ".gz"
         reader: IO[bytes] = gzip.GzipFile(fileobj=stored) if packed else stored  # type: ignore[assignment]
         while piece := reader.read(_PIECE_BYTES):
@@ -231,8 +273,8 @@ def _narrow(values: NDArray[np.float64]) -> NDArray[Any]:
 def read_npy(path: Path) -> NDArray[Any]:
     """The array of an `.npy` file. Raises `TooLargeError` if its head declares more than the file has, `ValueError`
     for a damaged file, and for objects, which could run code."""
-    size = _size(path)
-    with path.open("rb") as file:
+    with opened(path) as (size, file):
+        _check_size(path, size)
         return _array(str(path), file, size)
 
 
@@ -246,8 +288,8 @@ def read_npz(
     Raises `TooLargeError` as `read_npy` and `check_expansion` do; errors of
     `zipfile` and `ValueError` for a damaged file.
     """
-    size = _size(path)
-    with zipfile.ZipFile(path) as archive:
+    with opened(path) as (size, file), zipfile.ZipFile(file) as archive:
+        _check_size(path, size)
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         chosen = {name: members[name] for name in wanted if name in members}
         # Members may share their bytes, so all of them together are compared with the whole file.
@@ -288,8 +330,6 @@ def _array(where: str, stream: IO[bytes], size: int) -> NDArray[Any]:
     return np.frombuffer(content, dtype).reshape(shape, order="F" if by_columns else "C")
 
 
-def _size(path: Path) -> int:
-    size = path.stat().st_size
+def _check_size(path: Path, size: int) -> None:
     if size > MOST_BYTES:
         raise TooLargeError(f"{path}: {size} bytes, at most {MOST_BYTES} are read; cut it into parts")
-    return size

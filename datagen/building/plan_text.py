@@ -11,7 +11,7 @@ from pathlib import Path
 from datagen.building.plan import SECONDS, Plan, Range, plan_build
 from datagen.config import DatasetConfig, time_axes
 from datagen.design.exposure import with_exposure_found
-from datagen.errors import InputError
+from datagen.errors import InputError, as_line
 from datagen.store import schema_of
 from datagen.store.card import readable
 from datagen.store.columns import Columns
@@ -43,9 +43,9 @@ def plan(
 
 def plan_text(config: DatasetConfig, found: Plan) -> str:
     """The plan as text: what is configured, a scene's cost and what it shows, the cost of the whole build."""
-    heading = f"{config.name}: {config.description}".rstrip(": ")
+    heading = f"{config.name}: {' '.join(config.description.split())}".rstrip(": ")
     blocks = [[heading], _configured(config), _one_scene(config, found), _whole_build(found), _fields(config, found)]
-    return "\n\n".join("\n".join(block) for block in blocks)
+    return "\n\n".join("\n".join(map(as_line, block)) for block in blocks)
 
 
 def _configured(config: DatasetConfig) -> Iterator[str]:

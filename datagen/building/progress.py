@@ -8,6 +8,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from datagen.errors import as_line
+
 LINE_S = 10.0
 """Seconds between the first lines; later lines come after a twentieth of the time since the build began."""
 
@@ -37,7 +39,7 @@ class Progress:
         """Show what the command does, before the first scene or without any: a line once, or the bar, whose clock
         repeated calls keep running."""
         if self._bar is not None:
-            self._bar.set_description_str(what)
+            self._bar.set_description_str(as_line(what))
         elif time.monotonic() >= self._line_due and what != self._printed:
             self._line(what)
 
@@ -76,6 +78,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         """Print a line of text, above the bar where there is one."""
+        line = as_line(line)
         if self._bar is not None:
             self._bar.write(line, file=sys.stderr)
         elif self._shown:

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_v
 from datagen.config.base import check_known, folder_of, is_stored
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, within
 from datagen.config.scene_materials import SurfaceMaterial
+from datagen.untrusted import content_of, why_no_file
 from scene_library.meshes import SUFFIXES, upward_axis
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
 
@@ -200,8 +201,8 @@ class Mesh(MeshItem):
         super()._check()
 
     def _look(self) -> None:
-        if not self.place.is_file():
-            found = "is a directory (kind: mesh_folder reads one)" if self.place.is_dir() else "no such file"
+        if (found := why_no_file(self.place)) is not None:
+            found += " (kind: mesh_folder reads one)" if self.place.is_dir() else ""
             raise ValueError(
                 f"path = {self.path!r}: {found} ({self.place}); paths start at the configuration's folder"
             )
@@ -213,7 +214,7 @@ class Mesh(MeshItem):
 
     def digest(self) -> str:
         """Hex SHA-256 of the file's bytes."""
-        return hashlib.sha256(self.place.read_bytes()).hexdigest()
+        return hashlib.sha256(content_of(self.place)).hexdigest()
 
 
 class MeshFolder(MeshItem):
@@ -262,7 +263,7 @@ class MeshFolder(MeshItem):
         total = hashlib.sha256()
         for file in (file for files in self.files().values() for file in files):
             total.update(f"{file.relative_to(self.place).as_posix()}\0".encode())
-            total.update(hashlib.sha256(file.read_bytes()).digest())
+            total.update(hashlib.sha256(content_of(file)).digest())
         return total.hexdigest()
 
 

@@ -14,7 +14,7 @@ from datagen.config.base import named_file
 from datagen.errors import InputError, TooLargeError
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_tdc_edges
-from datagen.untrusted import one_line, read_npz, read_text
+from datagen.untrusted import one_line, read_npz, read_text, why_no_file
 
 SUFFIXES = (".csv", ".csv.gz", ".npz")
 DECIMALS = 3
@@ -36,8 +36,8 @@ def read_tdc_edges(path: Path) -> Edges:
 
     Raises `InputError` for a file that is missing or holds no such edges.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; paths start at the configuration's folder")
+    if (why := why_no_file(path)) is not None:
+        raise InputError(f"{path}: {why}; paths start at the configuration's folder")
     if not path.name.endswith(SUFFIXES):
         raise InputError(f"{path}: its suffix says no table of edges; they are {', '.join(SUFFIXES)}")
     with one_line(f"{path}: holds no edges of a TDC"):

@@ -3,6 +3,7 @@ the line named in errors."""
 
 from __future__ import annotations
 
+import errno
 import re
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import yaml
 
 from datagen.errors import InputError, TooLargeError
+from datagen.untrusted import NO_PLAIN_FILE, opened
 
 MOST_CHARACTERS = 2**18
 MOST_NODES = 100_000
@@ -69,14 +71,17 @@ def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
     """The mapping that a file holds; raises `InputError` for a file that is missing, which `remedy` ends, or that is
     no UTF-8 text, and as `parse_yaml`."""
     try:
-        with path.open(encoding="utf-8") as file:
-            text = file.read(MOST_CHARACTERS + 1)
+        with opened(path) as (size, file):
+            if size > 4 * MOST_CHARACTERS:
+                raise TooLargeError(f"{path}: more than {MOST_CHARACTERS} characters; shorten it")
+            text = file.read().decode("utf-8")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {remedy}") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a directory; name a YAML file in it") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as UTF-8 text ({error})") from None
+        if path.is_dir():
+            raise InputError(f"{path}: is a directory; name a YAML file in it") from None
+        why = NO_PLAIN_FILE if isinstance(error, OSError) and error.errno == errno.EINVAL else None
+        raise InputError(f"{path}: {why or f'cannot be read as UTF-8 text ({error})'}; {remedy}") from None
     return parse_yaml(text, str(path))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
-from datagen.untrusted import one_line, read_npy, read_npz, read_records
+from datagen.untrusted import one_line, read_npy, read_npz, read_records, why_no_file
 
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
 
@@ -71,8 +71,8 @@ def read_frames(path: str | Path) -> Frames:
     finite.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; name frames of a sensor ({', '.join(SUFFIXES)})")
+    if (why := why_no_file(path)) is not None:
+        raise InputError(f"{path}: {why}; name frames of a sensor ({', '.join(SUFFIXES)})")
     if not path.name.endswith(SUFFIXES):
         raise InputError(f"{path}: its suffix says no format of frames; they are {', '.join(SUFFIXES)}")
     with one_line(f"{path}: holds no frames of a sensor"):

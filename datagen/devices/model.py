@@ -16,7 +16,7 @@ from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
 from datagen.devices.frames import Frames
 from datagen.devices.zone_order import in_device_order
-from datagen.errors import InputError, InputWarning
+from datagen.errors import InputError, InputWarning, as_line
 from datagen.records import Capture
 from datagen.records.checks import as_points
 from datagen.store.files import write_atomically
@@ -66,7 +66,7 @@ class Device(DeviceConfig):
             for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
                 lines.append(f"  {section}.{key} = {_short(value)}")
                 lines.append(f"      {self.source_of(section, key)}")
-        return "\n".join(lines)
+        return "\n".join(map(as_line, lines))
 
     def source_of(self, section: str, key: str) -> str:
         """Where a number comes from: the source of its key, or of its section; empty where none is stated."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError, TooLargeError, printable
 from datagen.formats.matlab5 import read_matlab5
 from datagen.records.arrays import Floats
-from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, one_line
+from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, one_line, opened
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
@@ -102,7 +102,7 @@ def wall_normal(normals: Floats) -> Floats:
 def is_hdf5(path: Path) -> bool:
     """Whether a file is HDF5, or of MATLAB's version 7.3, which is HDF5 after 512 bytes."""
     signature = b"\x89HDF\r\n\x1a\n"
-    with path.open("rb") as file:
+    with opened(path) as (_, file):
         head = file.read(1024)
     return head.startswith(signature) or head[512:520] == signature
 

@@ -23,7 +23,7 @@ from datagen.errors import InputError
 from datagen.formats.recording import lattice, recording_of
 from datagen.records.arrays import Floats
 from datagen.store.card import CARD
-from datagen.store.files import write_if_changed
+from datagen.store.files import read_whole, write_if_changed
 from datagen.store.scenes import SceneContent, Scenes
 from datagen.store.table import TABLE, read_table
 
@@ -63,6 +63,7 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
     _check_limits(root, files)
     if out.exists() and any(out.iterdir()) and not (out / VIEWER).is_dir():
         raise InputError(f"output {out}: holds other files; name a new or an empty folder")
+    card = read_whole(root / CARD).decode("utf-8", "replace")
     table = read_table(root, None, schema.scenes)
     kept = [name for name in table.column_names if not name.startswith(("sha256.", "stats.")) and name != "failure"]
     written = []
@@ -76,7 +77,6 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
         path = out / VIEWER / f"{split}.parquet"
         _write_rows(scenes, table.select(kept), chosen, path)
         written.append(path)
-    card = (root / CARD).read_text(encoding="utf-8")
     write_if_changed(out / CARD, _with_configs(card, [str(name) for name in names]).encode())
     return [*written, out / CARD]
 

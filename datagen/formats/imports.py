@@ -32,6 +32,7 @@ from datagen.formats.tal import read_tal
 from datagen.records import Sample, Scalar, TimeAxis
 from datagen.records.checks import check_choice, check_kind, check_number
 from datagen.store.files import sha256_of
+from datagen.untrusted import why_no_file
 
 FORMATS = ("tal", "mat", "frames")
 FIELDS = ("histogram", "transient")
@@ -181,9 +182,8 @@ def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
         raise InputError("files: none given; name at least one capture")
     for number, file in enumerate(listed):
         check_kind(f"files[{number}]", file, str, os.PathLike)
-        if not Path(file).is_file():
-            what = "is a directory; name the files in it" if Path(file).is_dir() else "no such file"
-            raise InputError(f"{file}: {what}")
+        if (why := why_no_file(Path(file))) is not None:
+            raise InputError(f"{file}: {why}{'; name the files in it' if Path(file).is_dir() else ''}")
     return [Path(file) for file in listed]
 
 
@@ -210,8 +210,8 @@ def _options(
     if tof is not None and str(tof) != "none":
         check_kind("tof", tof, str, os.PathLike)
         delays = Path(tof)
-        if not delays.is_file():
-            raise InputError(f"--tof {tof}: no such file; name the one with tofgrid, or none")
+        if (why := why_no_file(delays)) is not None:
+            raise InputError(f"--tof {tof}: {why}; name the one with tofgrid, or none")
         stated = ImportedFile(name=delays.name, sha256=sha256_of(delays), format="mat")
         delays = delays.resolve()
     return ImportOptions(

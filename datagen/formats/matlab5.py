@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.errors import InputError
-from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion
+from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, opened
 
 _HEAD = 4096
 """First bytes of a variable, which must contain its name and sizes."""
@@ -60,7 +60,7 @@ def read_matlab5(path: Path, wanted: Mapping[str, int]) -> tuple[Mapping[str, ND
     """
     arrays, names = dict[str, NDArray[Any]](), list[str]()
     chosen, declared, stored = list[tuple[bool, int, int, Variable]](), 0, 0
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+    with opened(path) as (_, file), mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content[124:128] != b"\x00\x01IM":
             raise InputError(f"{path}: is no MATLAB file of version 5 or 7.3; save it with -v7 or -v7.3")
         for kind, begin, end in _elements(content):

@@ -15,7 +15,7 @@ from datagen.config.base import near_hint
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats
 from datagen.scoring.truth import Truth
-from datagen.untrusted import check_expansion, one_line, read_npz
+from datagen.untrusted import check_expansion, one_line, read_npz, why_no_file
 
 QUANTITIES = ("depth", "mask", "points", "occupancy", "centers")
 SUITE = "suite"
@@ -85,8 +85,11 @@ def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Pr
 
 def _loaded(path: Path, truth: Truth) -> dict[str, NDArray[Any]]:
     """Name → array of a file or group of predictions. An array of an unknown name is empty and was not read."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file; name an .npz file or a Zarr group of predictions")
+    if not path.is_dir() and (why := why_no_file(path)) is not None:
+        raise InputError(f"{path}: {why}; name an .npz file or a Zarr group of predictions")
+    for file in path.rglob("*"):
+        if not file.is_dir() and (why := why_no_file(file)) is not None:
+            raise InputError(f"{file}: {why}; a Zarr group has plain files alone")
     known, enough = ("scene", *QUANTITIES, SUITE), _bytes_of_all(truth)
     with one_line(f"{path}: is no .npz file and no Zarr group of predictions", _REMEDY):
         if path.is_dir():

@@ -13,7 +13,7 @@ from typing import Any
 from datagen.store.arrays import GROUP
 from datagen.store.description import Description
 from datagen.store.files import sha256_of
-from datagen.store.location import Location
+from datagen.store.location import Location, opened
 from datagen.store.manifest import Manifest
 from datagen.store.schema import FORMAT, Field
 from datagen.store.table import COLUMNS, TABLE, parquet_file
@@ -121,7 +121,7 @@ def _shards(field: Field) -> dict[str, Any]:
 
 
 def _scenes(root: Location) -> dict[str, Any]:
-    with (root / TABLE).open("rb") as file:
+    with opened(root / TABLE) as (_, file):
         described = parquet_file(file).schema_arrow
     columns = [
         {

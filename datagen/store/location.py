@@ -12,14 +12,14 @@ import importlib
 import io
 import os
 import re
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
+from datagen import untrusted
 from datagen.errors import CheckError, InputError
 
 SCHEME = "s3://"
@@ -73,10 +73,6 @@ class Bucket:
         """The content of the object; raises `FileNotFoundError`."""
         return b"".join(self.chunks()[1])
 
-    def open(self, mode: Literal["rb"]) -> io.BytesIO:
-        """The content of the object as a file."""
-        return io.BytesIO(self.read_bytes())
-
     def read_range(self, offset: int, size: int) -> bytes:
         """`size` bytes of the object from `offset` on."""
         return bytes(self._requested("get_range", str(self.key), start=offset, length=size)) if size > 0 else b""
@@ -85,14 +81,19 @@ class Bucket:
         """Objects directly below this prefix whose names match."""
         return (Bucket(self.bucket, key) for key in self._below() if key.match(pattern) and key.parent == self.key)
 
-    def put(self, file: Path) -> None:
-        """Upload a file. A large file is sent in parts, and the object appears when all parts are there."""
+    def put(self, file: Path | bytes) -> None:
+        """Upload a file, or some bytes. A large file is sent in parts, and the object appears when all are there."""
         self._requested("put", str(self.key), file)
 
     def unlink(self, missing_ok: bool = False) -> None:
         """Remove the object; raises `FileNotFoundError` if it is missing and that is not allowed."""
         with suppress(FileNotFoundError) if missing_ok else nullcontext():
             self._requested("delete", str(self.key))
+
+    def unlink_below(self) -> None:
+        """Remove all objects below this prefix."""
+        for key in [*self._below()]:
+            Bucket(self.bucket, key).unlink(missing_ok=True)
 
     def _below(self) -> Iterator[PurePosixPath]:
         for batch in self._guarded(self._requested("list", f"{self.key}/")):
@@ -154,21 +155,15 @@ def location_of(path: str | Path | Bucket) -> Location:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
-    """Size and content of a plain local file. Raises `OSError` if there is no file (errno EINVAL: it is no plain
-    file), and `CheckError` if this process has too many files open."""
-    try:
-        # Without O_NONBLOCK opening a pipe would wait for a writer.
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
-        raise
-    with open(handle, "rb") as file:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "no plain file", str(path))
-        yield status.st_size, file
+def opened(path: Location) -> Iterator[tuple[int, BinaryIO]]:
+    """Size and content of a plain file, or of an object. Raises `OSError` if there is none (errno EINVAL: it is no
+    plain file), and `CheckError` if this process has too many files open."""
+    if isinstance(path, Bucket):
+        content = path.read_bytes()
+        yield len(content), io.BytesIO(content)
+        return
+    with untrusted.opened(path) as found:
+        yield found
 
 
 @contextmanager
