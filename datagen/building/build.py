@@ -21,7 +21,7 @@ from datagen import store
 from datagen.building.engines import Engine, check_engine, start_imports, started
 from datagen.building.jobs import TICK_S, Jobs
 from datagen.building.progress import Progress
-from datagen.building.shard_job import LONGEST_SCENE_S, Recipe, SampleFunction
+from datagen.building.shard_job import LONGEST_SCENE_S, Recipe, SampleFunction, scenes_missing
 from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
@@ -50,6 +50,7 @@ class BuildResult:
     complete : whether every shard is there.
     seconds : wall-clock time of this build.
     placed_anew : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
+    growth : words on the larger dataset that a complete one grows into, as long as that is not complete.
     noisy : a warning that more than a fifth of the simulated light is noise, with a remedy; "" if it is not.
     """
 
@@ -61,15 +62,17 @@ class BuildResult:
     seconds: float
     placed_anew: str = ""
     noisy: str = ""
+    growth: str = ""
 
     def summary(self) -> str:
         """One line for people."""
         shards = "1 shard" if self.built == 1 else f"{self.built} shards"
         did = f"{shards} built in {self.seconds:.1f} s" if self.built else "nothing left to build"
         found = f", {self.kept} were there" if self.kept else ""
-        missing = "not complete yet: other shards are missing"
+        missing = self.growth or "not complete yet: other shards are missing"
         state = f"complete with {self.scenes} scenes" if self.complete else missing
-        return f"{self.path}: {did}{found}; {state}{self.placed_anew and f'; {self.placed_anew}'}"
+        more = [sentence for sentence in (self.complete and self.growth, self.placed_anew) if sentence]
+        return "; ".join([f"{self.path}: {did}{found}", state, *more])
 
 
 def build(
@@ -136,15 +139,12 @@ def build(
         for folder in store.build_folders(root, plan):
             store.check_writable(folder)
         wanted = parse_shards(shards, plan.schema.shards)
-        # The bytes of shards that are not wanted stay as they are, so nothing is gained by reading them.
-        asked = {*wanted}
         there = dict[int, list[int]]()
-        for record in store.each_committed(root, plan):
-            if record.shard in asked and record.problem(root) is not None:
-                continue
+        # The bytes of shards that are not wanted stay as they are, so nothing is gained by reading them.
+        for record in store.each_committed(root, plan, hashes={*wanted}, partly=True):
             if not accept_mixed:
                 _check_unmixed(root, record)
-            there[record.shard] = sorted(record.failures)
+            there[record.shard] = scenes_missing(plan, record)
         if sample_function is None:
             from datagen.building.input_check import check_inputs
             from datagen.pipeline import simulate_sample
@@ -159,10 +159,11 @@ def build(
                 manifest = store.prepare(root, config)
                 output.begin(manifest)
                 made_by = None if accept_mixed else made_with()
-                recipe = Recipe(root.resolve(), config, manifest, sample_function, made_by, scene_seconds)
+                standing = store.standing_shards(root, manifest)
+                recipe = Recipe(root.resolve(), config, manifest, sample_function, made_by, scene_seconds, standing)
                 kept = Jobs(recipe, output, running, shown).run(wanted, there)
             dataset = store.finish(root, manifest)
-            output.finish(store.each_committed(root, manifest), dataset.is_whole)
+            output.finish(store.each_committed(root, manifest), manifest, dataset.is_whole)
         except OSError as error:
             reason = error.strerror or error
             raise CheckError(f"{error.filename or root}: {reason}; mend that and build again to resume") from None
@@ -174,6 +175,7 @@ def build(
         path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=dataset.is_whole, seconds=time.monotonic() - began, noisy=noisy,
         placed_anew=" ".join(placed_anew_lines(dataset.parameters)),
+        growth=store.growth_line(root, store.read_manifest(root)),
     )  # fmt: skip
 
 

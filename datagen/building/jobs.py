@@ -47,7 +47,8 @@ class Jobs:
     running : future → what its job makes.
     started : shard that was handed out and is not committed → Unix time of that. An interruption (Ctrl-C) may come
         after a job was submitted and before its future is in `running`; the shard is here by then.
-    retried : committed shard → its scenes that failed, which alone are made.
+    retried : committed shard → its scenes that failed or were not there when the dataset was smaller, which alone are
+        made.
     known : divided shard → scene → pickled sample, or why there is none.
     finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
     deaths : scene → workers that died while they made it.
@@ -72,7 +73,7 @@ class Jobs:
     def run(self, wanted: Sequence[int], there: Mapping[int, Sequence[int]]) -> int:
         """Make the wanted shards; returns how many of them were there before with all scenes.
 
-        there : shard that is committed → its scenes that failed.
+        there : shard that is committed → its scenes that failed, or that it does not have yet.
         """
         root, size = self.recipe.root, self._size
         whole = {shard for shard, failed in there.items() if not failed}
@@ -82,9 +83,10 @@ class Jobs:
         kept = len(wanted) - len(self.waiting)
         if not self.waiting:
             return kept
-        store.forget_complete(root)
         manifest = self.recipe.manifest
-        store.write_card(root, store.Description(manifest, store.each_committed(root, manifest, there)))
+        if not self.recipe.standing:
+            store.forget_complete(root)
+            store.write_card(root, store.Description(manifest, store.each_committed(root, manifest, there)))
         self.finished = sum(size(shard) for shard in wanted if shard in whole)
         self.progress.begin(sum(map(size, wanted)), self.finished)
         if kept:
@@ -162,7 +164,7 @@ class Jobs:
         self.deaths_between = 0
         of = self.recipe
         for record in store.committed(of.root, of.manifest, [shard]) if self.output.bucket else ():
-            self.output.put_shard(record)
+            self.output.put_shard(record, of.manifest)
         self.known.pop(shard, None)
         del self.started[shard]
         size = self._size(shard)

@@ -25,10 +25,12 @@ from datagen.store import (
     ShardRecord,
     committed,
     discard_shard,
+    each_committed,
     running_path,
     write_shard,
 )
 from datagen.store.environment import joined, made_with, mixed
+from datagen.store.record import GROWTH
 
 GRACE_S = 10.0
 """Seconds beyond the time limit of a scene (at most the limit itself) after which its process ends, because the
@@ -51,6 +53,8 @@ class Recipe:
     root : the dataset's folder.
     made_with : the environment of the other shards; None if any mixture is accepted.
     scene_seconds : time limit of a scene; None: no limit.
+    standing : number of shards of the smaller dataset that grows. They stay until the larger one is complete, so
+        what takes their place waits.
     """
 
     root: Path
@@ -59,6 +63,11 @@ class Recipe:
     sample_function: SampleFunction
     made_with: Mapping[str, str] | None = None
     scene_seconds: float | None = None
+    standing: int = 0
+
+    def home(self, shard: int) -> Path:
+        """The folder in which a shard is written."""
+        return self.root / GROWTH if shard < self.standing else self.root
 
 
 def make_scene(recipe: Recipe, index: int) -> bytes | str:
@@ -76,7 +85,8 @@ def run_shard(
 ) -> dict[int, str]:
     """Make the scenes of a shard that are not known, and commit it; returns scene → reason for those that failed.
 
-    In a shard that is committed already only the failed scenes are tried again.
+    In a shard that is committed already only the failed scenes are tried again, and those made that it had not when
+    its dataset had fewer scenes.
 
     submitted : Unix time at which the job was submitted.
     known : scenes that are made, or given up, already.
@@ -92,10 +102,12 @@ def run_shard(
         if record is None or (record.failures and record.finished <= submitted):
             samples: Samples | None = _samples(recipe, manifest.schema.scenes_of(shard), known)
             made_by = made_with()
-            if record is not None:
-                samples, made_by = _with_failed_retried(recipe, record, known), joined(record.made_by, made_by)
+            begun = next(each_committed(root, manifest, [shard], hashes=True, partly=True), None)
+            if begun is not None:
+                samples, made_by = _with_missing_made(recipe, begun, known), joined(begun.made_by, made_by)
             if samples is not None:
-                record = write_shard(root, manifest.schema, shard, manifest.fingerprint, samples, made_by, started)
+                home = recipe.home(shard)
+                record = write_shard(home, manifest.schema, shard, manifest.fingerprint, samples, made_by, started)
         path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
@@ -108,14 +120,24 @@ def _check_environment(recipe: Recipe) -> None:
         raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
 
 
-def _with_failed_retried(recipe: Recipe, record: ShardRecord, known: Known) -> Samples | None:
-    """(index, sample) of all scenes of a shard: the failed ones made again, the others as stored. None if all of the
-    failed scenes failed again."""
-    anew = dict(_samples(recipe, record.failures, known))
-    if not any(isinstance(sample, Sample) for sample in anew.values()):
+def scenes_missing(manifest: Manifest, record: ShardRecord) -> list[int]:
+    """The scenes of a shard that its record does not have, or that could not be made."""
+    made = {scene.index for scene in record.scenes if scene.failure is None}
+    return [scene for scene in manifest.schema.scenes_of(record.shard) if scene not in made]
+
+
+def _with_missing_made(recipe: Recipe, record: ShardRecord, known: Known) -> Samples | None:
+    """(index, sample) of all scenes of a shard: the missing ones made, the others as stored. None if the record has
+    all scenes, and all that had failed failed again."""
+    due = recipe.manifest.schema.scenes_of(record.shard)
+    anew = dict(_samples(recipe, scenes_missing(recipe.manifest, record), known))
+    if len(record.scenes) == len(due) and not any(isinstance(sample, Sample) for sample in anew.values()):
         return None
     names = recipe.manifest.schema.by_name
-    reader = DatasetReader(recipe.root, recipe.manifest, names)
+    # A record that waits has its files beside it until they take their places, all before the next shard is made.
+    places = [recipe.root / GROWTH, recipe.root]
+    place = next(place for place in places if record.problem(place, hashes=False) is None)
+    reader = DatasetReader(place, recipe.manifest, names)
     for scene in record.scenes:
         if scene.failure is None:
             arrays = {name: reader.read(name, [scene.index])[0] for name in names}
@@ -129,7 +151,7 @@ def abandon_shard(recipe: Recipe, shard: int) -> None:
     path = running_path(recipe.root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
         if not committed(recipe.root, recipe.manifest, [shard]):
-            discard_shard(recipe.root, recipe.manifest.schema, shard)
+            discard_shard(recipe.home(shard), recipe.manifest.schema, shard)
         path.unlink(missing_ok=True)
 
 

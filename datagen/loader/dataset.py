@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import pyarrow as pa
 import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
@@ -29,10 +30,11 @@ from datagen.records.arrays import Ints
 from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
 from datagen.store import DatasetReader, Manifest, each_committed, read_manifest
 from datagen.store.location import Bucket, location_of
+from datagen.store.partial import is_complete, largest, shards_there, table_there
 from datagen.store.reader import Part
-from datagen.store.record import recorded_shards
+from datagen.store.record import recorded_shards, scenes_made
 from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
-from datagen.store.table import TABLE, read_splits, read_table, stats_of_rows
+from datagen.store.table import TABLE, check_columns, read_table, splits_of_table, stats_of_rows
 
 COUNT_TYPES = ("float32", "float64", "int32", "int64", "stored")
 
@@ -46,7 +48,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     Parameters
     ----------
-    path : the folder of a complete dataset that `build` made, or its address `s3://bucket/name`.
+    path : the folder of a complete dataset that `build` made, or its address `s3://bucket/name`. A complete dataset
+        that grows is what it was until the growth is complete.
     fields : names of the fields of an item. `data.fields` lists all fields of the dataset, and "objects" stands for
         those that begin with `object_` (classes, poses and boxes of the objects; `data.classes` names the classes).
     counts : dtype of the histograms of an item, since torch lacks most operations for uint16 and uint32. float32 is
@@ -85,6 +88,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         3 nothing can be learnt. Scenes without objects stay. `data.parameters("evidence.weakest")` has the
         significance of the weakest object of each scene, and the field `object_significance` (label `objects`) that
         of each object.
+    partial : read the shards that are there now, while the first build or the growth of a dataset goes on or after it
+        was interrupted. Shards that are made later are there when the dataset is opened anew. A scene may change its
+        split as long as the first scene that shows its room is missing.
 
     Each process opens the files for itself, at its first read; a dataset can be sent to loader workers that are
     started in any way. Scenes whose simulation failed are left out, with a warning.
@@ -126,17 +132,21 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         pixels: slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice] | None = None,
         bins: slice | None = None,
         evidence_at_least: float | None = None,
+        partial: bool = False,
     ) -> None:
         check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
         check_seed(seed)
         wanted = _names(fields)
-        for name, flag in (("redraw_noise", redraw_noise), ("check", check)):
+        for name, flag in (("redraw_noise", redraw_noise), ("check", check), ("partial", partial)):
             check_flag(name, flag)
         if evidence_at_least is not None:
             sigmas = "standard deviations, such as 3"
             check_number("TransientDataset", "evidence_at_least", evidence_at_least, 0.0, 1e9, sigmas)
         self.path = location_of(path).resolve()
-        self._manifest = manifest = read_manifest(path)
+        manifest = read_manifest(path)
+        # Whether shards are missing, so that the records of the others stand in for the table.
+        self._partial = partial and not is_complete(self.path, largest(self.path, manifest))
+        self._manifest = manifest = largest(self.path, manifest) if self._partial else manifest
         self._schema = manifest.schema
         self.fields = tuple(self._schema.by_name)
         tables = tuple(name for name in self.fields if name.startswith("object_")) or ("objects",)
@@ -265,8 +275,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def parameters(self, name: str) -> NDArray[np.generic]:
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
-        column: NDArray[np.generic] = read_table(self.path, [name], self._schema.scenes)[name].to_numpy()
-        return column[self.scenes]
+        column: NDArray[np.generic] = self._table([name])[name].take(self.scenes).to_numpy()
+        return column
 
     @cached_property
     def stats(self) -> dict[str, dict[str, float]]:
@@ -276,11 +286,19 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         columns = [
             f"stats.{name}.{quantity}" for name in WITH_STATS if name in self.fields for quantity in QUANTITIES
         ]
-        rows = read_table(self.path, columns, self._schema.scenes).take(self.scenes)
+        rows = self._table(columns).take(self.scenes)
         try:
             return stats_of_rows(rows)
         except (TypeError, ValueError, OverflowError) as error:
             raise CheckError(f"{self.path / TABLE}: its stats are not as datagen writes them ({error})") from None
+
+    def _table(self, columns: Sequence[str] | None) -> pa.Table:
+        """Columns of the table (None: all), with a row for each scene of the dataset."""
+        if not self._partial:
+            return read_table(self.path, columns, self._schema.scenes)
+        table = table_there(self.path, self._manifest)
+        check_columns(self.path / TABLE, columns, table.column_names)
+        return table if columns is None else table.select([*columns])
 
     def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> Ints:
         """(N,) the scenes of `self.scenes` that belong to a split."""
@@ -289,11 +307,10 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
         if fractions is not None:
             splits = splits.with_shares(fractions)
-        scenes = self._schema.scenes
         if fractions is None:
-            found = read_table(self.path, ["split"], scenes)["split"].to_pylist()
+            found = self._table(["split"])["split"].to_pylist()
         else:
-            found = read_splits(self.path, scenes, splits)
+            found = splits_of_table(self._table(None), splits)
         chosen = self.scenes[[found[scene] == split for scene in self.scenes]]
         if not len(chosen):
             others = Counter(found[scene] for scene in self.scenes)
@@ -303,7 +320,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def _scenes_with_evidence(self, least: float) -> Ints:
         """(N,) the scenes of `self.scenes` in which every object has at least this significance."""
-        table = read_table(self.path, None, self._schema.scenes)
+        table = self._table(None)
         if "evidence.weakest" not in table.column_names:
             return self.scenes
         weakest = table["evidence.weakest"].to_pylist()
@@ -318,12 +335,18 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def _scenes_there(self, manifest: Manifest) -> Ints:
         """(N,) the scenes that could be made. Raises `InputError` if shards are missing."""
+        if self._partial:
+            made = [scene.index for scene in scenes_made(shards_there(self.path, manifest))]
+            if not made:
+                raise InputError(f"{self.path}: no scene of it is there yet; wait for `datagen build`")
+            return np.array(made, np.int64)
         there, failed = self._shards_and_failures(manifest)
         if len(there) < self._schema.shards:
             first = next(shard for shard in range(self._schema.shards) if shard not in there)
             raise InputError(
                 f"{self.path}: {self._schema.shards - len(there)} of {self._schema.shards} shards are not committed, "
-                f"the first is {first}; run the same `datagen build` again to finish it"
+                f"the first is {first}; run the same `datagen build` again to finish it, or read those that are "
+                "there with partial=True"
             )
         if failed:
             warnings.warn(f"{self.path}: {len(failed)} scenes could not be made and are left out", stacklevel=3)

@@ -54,9 +54,21 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-    # Without a sync of the folder the file may lose its new name in a power cut. Not all file systems support it.
+    _sync_folder(path.parent)
+
+
+def move(source: Path, path: Path) -> None:
+    """Let a file that is written and synced take the place of another one. One that is gone was moved before."""
+    with contextlib.suppress(FileNotFoundError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        source.replace(path)
+        _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Without this a file may lose its new name in a power cut. Not all file systems support it."""
     with contextlib.suppress(OSError):
-        handle = os.open(path.parent, os.O_RDONLY)
+        handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
         finally:

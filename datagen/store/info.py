@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from datagen.errors import InputError, printable
+from datagen.errors import InputError, as_line
 from datagen.store.card import readable
 from datagen.store.columns import Columns
 from datagen.store.description import Description
+from datagen.store.growth import growth_line
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import read_manifest
 from datagen.store.verify import each_committed
@@ -28,24 +29,27 @@ def info(path: str | Location) -> str:
     """
     root = location_of(path)
     manifest = read_manifest(root)
-    return info_of(root, Description(manifest, each_committed(root, manifest)))
+    return info_of(root, Description(manifest, each_committed(root, manifest)), growth_line(root, manifest))
 
 
-def info_of(root: Location, dataset: Description) -> str:
-    """The text of `info`. Raises `InputError` if the records hold values that datagen does not write."""
+def info_of(root: Location, dataset: Description, growth: str = "") -> str:
+    """The text of `info`. Raises `InputError` if the records hold values that datagen does not write.
+
+    growth : words on a growth of the dataset that is not complete.
+    """
     try:
-        return printable(_text(dataset))
+        return _text(dataset, growth)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError(f"{root}: its commit records hold what datagen does not write ({what})") from None
 
 
-def _text(dataset: Description) -> str:
+def _text(dataset: Description, growth: str) -> str:
     manifest = dataset.manifest
     failures, evidence = len(dataset.failures), [f"  {line}" for line in dataset.evidence()]
     sections = [
-        [f"{manifest.config['name']}: {manifest.config['description']}".rstrip(": ")],
-        _origin(dataset),
+        [f"{manifest.config['name']}: {' '.join(manifest.config['description'].split())}".rstrip(": ")],
+        [*_origin(dataset), *([f"unfinished   {growth}"] if growth else [])],
         _fields(dataset),
         [place] if (place := dataset.label_place()) else [],
         _times(dataset),
@@ -56,7 +60,7 @@ def _text(dataset: Description) -> str:
         if failures
         else [],
     ]
-    return "\n\n".join("\n".join(lines) for lines in sections if lines)
+    return "\n\n".join("\n".join(map(as_line, lines)) for lines in sections if lines)
 
 
 def _origin(dataset: Description) -> list[str]:
@@ -148,5 +152,5 @@ def effect_lines(parameters: Columns, effects: Columns) -> list[str]:
         span = f"{estimates.min():.2g} … {estimates.max():.2g}, " if len(estimates) else ""
         by = ", ".join(_DECIDED_BY.get(kind, kind) for kind in sorted(kinds))
         lines.append(f"  {name:25}{on:>9}{kinds.total() - on:>10}    {span}{by}")
-    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    change if left out ≤, decided by"
+    head = f"{'effects (scenes)':27}{'simulated':>9}{'left out':>10}    change if left out (estimate), decided by"
     return [head, *lines] if lines else []

@@ -13,6 +13,7 @@ from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
 from datagen.store.arrays import GROUP, coordinates, metadata_files
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
+from datagen.store.growth import growth_of, remove_empty, standing_shards, take_places
 from datagen.store.location import Location
 from datagen.store.manifest import (
     MANIFEST,
@@ -23,7 +24,7 @@ from datagen.store.manifest import (
     metadata_hashes,
     read_manifest,
 )  # fmt: skip
-from datagen.store.record import BUILD, sound_records
+from datagen.store.record import BUILD, GROWTH, recorded_shards, sound_records
 from datagen.store.schema import schema_of
 
 WHEN_COMPLETE = ("samples.parquet", "croissant.json")
@@ -42,7 +43,8 @@ def is_fresh(root: Path) -> bool:
 def planned(root: Path, config: DatasetConfig) -> Manifest:
     """The manifest that `prepare` would write; no file is changed.
 
-    A dataset may grow (more `scenes`); nothing else of its content may change. A dataset whose `dataset.json` is
+    A dataset may grow (more `scenes`); nothing else of its content may change. One that grows can also be built with
+    the scenes that it is complete with. A dataset whose `dataset.json` is
     missing or damaged can be resumed if its shards were made with this configuration.
 
     Raises `InputError` for a folder of other files, another dataset, fewer scenes than it has, and if a symbolic link
@@ -58,11 +60,10 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
             raise
         manifest = restored
     files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *coordinates(time_axes(config))]
-    for name in [
-        *files,
-        *(f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")),
-    ]:
+    files += [f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")]
+    for name in files:
         own_path(root, name)
+        own_path(root, f"{GROWTH}/{name}")
     return manifest
 
 
@@ -70,6 +71,7 @@ def build_folders(root: Path, manifest: Manifest) -> list[Path]:
     """The folders in which a build makes files; not all of them exist yet."""
     shards = [f"{GROUP}/{field.name}/c/0" for field in manifest.schema.fields]
     names = [MANIFEST, f"{BUILD}/shard", *manifest.metadata, *shards]
+    names += [f"{GROWTH}/{name}" for name in names]
     return [*dict.fromkeys((root / name).parent for name in names)]
 
 
@@ -83,17 +85,53 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     root.mkdir(parents=True, exist_ok=True)
     for folder in build_folders(root, manifest):
         clear_partials(folder)
-    content = manifest.to_bytes()
-    if not holds(root / MANIFEST, content):
-        # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
+    _go_on_with_growth(root, manifest)
+    is_growing = _is_complete_and_smaller(root, manifest)
+    home, content = root / GROWTH if is_growing else root, manifest.to_bytes()
+    home.mkdir(parents=True, exist_ok=True)
+    if not is_growing and not holds(root / MANIFEST, content):
+        # The dataset is repaired, or grows before it is complete: files that say it is complete go before anything
+        # else changes.
         forget_complete(root)
-    write_if_changed(root / MANIFEST, content)
+    write_if_changed(home / MANIFEST, content)
     for name, metadata in metadata_files(manifest.schema, time_axes(config)).items():
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_if_changed(path, metadata)
+        if not (is_growing and holds(root / name, metadata)):
+            (home / name).parent.mkdir(parents=True, exist_ok=True)
+            write_if_changed(home / name, metadata)
     (root / BUILD).mkdir(exist_ok=True)
     return manifest
+
+
+def _go_on_with_growth(root: Path, manifest: Manifest) -> None:
+    """Let files that wait take their places if a growth was interrupted in its last step, or after it; and those of a
+    dataset that is as large as its growth already, which lost its manifest."""
+    remove_empty(root)
+    try:
+        waiting = read_manifest(root / GROWTH)
+    except InputError:
+        return
+    if waiting.fingerprint == manifest.fingerprint and (
+        waiting.stats is not None or (waiting.schema.scenes <= manifest.schema.scenes and _is_damaged(root))
+    ):
+        take_places(root)
+
+
+def _is_damaged(root: Path) -> bool:
+    """Whether a dataset has no sound manifest."""
+    try:
+        read_manifest(root)
+    except InputError:
+        return True
+    return False
+
+
+def _is_complete_and_smaller(root: Path, manifest: Manifest) -> bool:
+    """Whether there is a complete dataset that grows into that of `manifest`."""
+    if not standing_shards(root, manifest):
+        return False
+    smaller = read_manifest(root)
+    is_described = smaller.stats is not None and all((root / name).is_file() for name in WHEN_COMPLETE)
+    return is_described and {*recorded_shards(root)} >= {*range(smaller.schema.shards)}
 
 
 def forget_complete(root: Location) -> None:
@@ -136,12 +174,22 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
             f"output {root}: holds {first!r} and no dataset.json, so it is no dataset; name a new or an empty folder"
         )
     old = read_manifest(root)
+    larger = growth_of(root, old)
+    if larger is not None and larger.stats is not None:
+        # Everything of the larger dataset is there, and takes its place at the next build.
+        old = larger
     _check_version(root, old.made_by)
     _check_same(root, old, config)
     if config.scenes < old.schema.scenes:
         raise InputError(
             f"output {root}: holds a dataset of {old.schema.scenes} scenes, scenes = {config.scenes} is fewer; "
             "a dataset may only grow: ask for at least as many, or name another folder"
+        )
+    if larger is not None and old.schema.scenes < config.scenes < larger.schema.scenes:
+        raise InputError(
+            f"output {root}: holds a dataset of {old.schema.scenes} scenes that grows to {larger.schema.scenes}, "
+            f"scenes = {config.scenes} lies between; ask for {larger.schema.scenes} or more, which goes on with that "
+            f"growth, or for {old.schema.scenes}, which is complete"
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
     values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, time_axes(config))

@@ -16,6 +16,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 
@@ -30,7 +31,7 @@ from datagen.store.arrays import chunk_grid, shard_file
 from datagen.store.environment import cores
 from datagen.store.location import Location, read_range, size_of
 from datagen.store.manifest import Manifest
-from datagen.store.record import read_record
+from datagen.store.record import GROWTH, read_record
 from datagen.store.schema import Field
 from datagen.store.shard import digest
 
@@ -112,7 +113,7 @@ class DatasetReader:
         value_bytes = math.prod((part or field).shape) * np.dtype(field.dtype).itemsize
         is_kept = 4 * self._schema.scenes * value_bytes <= MEMORY_BYTES
 
-        def into(row: int) -> None:
+        def read_into(row: int) -> None:
             scene = scenes[row]
             if not field.sharded:
                 value = self._small(field, scene)
@@ -121,6 +122,14 @@ class DatasetReader:
                 out[row] = self._keep((name, scene, part), lambda: self._value(field, scene, part))
             else:
                 self._decode(field, scene, part, out[row])
+
+        def into(row: int) -> None:
+            try:
+                read_into(row)
+            except CheckError:
+                # The shard may have been replaced since its index or record was read: its dataset has grown.
+                self._forget(field, self._shard(scenes[row]))
+                read_into(row)
 
         threads = min(cores(), len(scenes), MOST_THREADS)
         # In a worker of a loader no threads are started: the other workers use the other cores.
@@ -146,6 +155,14 @@ class DatasetReader:
                 while self._kept_bytes > MEMORY_BYTES:
                     self._kept_bytes -= self._kept.popitem(last=False)[1].nbytes
         return kept
+
+    def _forget(self, field: Field, shard: int) -> None:
+        """Drop what is in memory of a shard, so that it is read anew."""
+        with self._lock:
+            self._records.pop(shard, None)
+            for what in ("index", "values"):
+                kept = self._kept.pop((field.name, what, shard), None)
+                self._kept_bytes -= 0 if kept is None else kept.nbytes
 
     def _small(self, field: Field, scene: int) -> NDArray[np.generic]:
         """One scene's value of a small field, whose file is one chunk with all scenes of a shard."""
@@ -263,9 +280,18 @@ class DatasetReader:
         scenes = self._schema.scenes_of(shard)
         if self._check and not self._seen[field.name][scenes.start : scenes.stop].all():
             due, _ = self._record(shard)[field.name]
-            if size != due:
+            if size != due and size != self._size_when_grown(field, shard):
                 raise self._fault(field, shard, None, f"{size} bytes, {due} were written")
         return size
+
+    def _size_when_grown(self, field: Field, shard: int) -> int | None:
+        """Bytes of a shard's file in the larger dataset, whose files take their places one after the other before the
+        record does; None without a growth. The values of all scenes that both have are the same."""
+        with suppress(CheckError):
+            record = read_record(self._root / GROWTH, shard)
+            file = record.files.get(shard_file(field, shard)) if record else None
+            return file.bytes if file else None
+        return None
 
     def _bytes(self, field: Field, shard: int, offset: int, size: int) -> bytes:
         try:
@@ -297,7 +323,7 @@ class DatasetReader:
         """What `_record` returns, read from the record's file."""
         record = read_record(self._root, shard)
         due = self._schema, self._manifest.fingerprint
-        wrong = record.mismatch(*due, grown=True) if record else "is not committed"
+        wrong = record.mismatch(*due, extent="any") if record else "is not committed"
         if record is None or wrong:
             raise CheckError(f"{self._root}: shard {shard} {wrong}; run the same `datagen build` again")
         return {

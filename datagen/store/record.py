@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import pydantic
 
@@ -22,6 +22,9 @@ from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
 
 BUILD = "build"
+GROWTH = f"{BUILD}/growth"
+"""Folder of what waits to take the place of files of a dataset that grows (`store/growth.py`); it is laid out as the
+dataset itself."""
 
 Parameter = Annotated[int, pydantic.Field(ge=-(2**63), lt=2**63)] | float | str | bool
 Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
@@ -82,14 +85,20 @@ class ShardRecord:
         """The record's file."""
         return sealed(vars(self))
 
-    def mismatch(self, schema: Schema, fingerprint: str, grown: bool = False) -> str | None:
+    def mismatch(
+        self, schema: Schema, fingerprint: str, extent: Literal["all", "at least", "any"] = "all"
+    ) -> str | None:
         """A sentence on why this record does not belong to a dataset of this schema and fingerprint, or None.
 
-        grown : the dataset may have grown since its schema was read; its last shard then has more scenes.
+        extent : the scenes that the record must hold: those that the schema gives the shard; these and perhaps more,
+            because the dataset may have grown, or grow, beyond the schema; or any number of the shard's scenes, from
+            the first one on.
         """
         scenes = schema.scenes_of(self.shard)
-        if grown and scenes.stop <= self.last_scene < scenes.start + schema.scenes_per_shard:
-            scenes = range(scenes.start, self.last_scene + 1)
+        first = self.shard * schema.scenes_per_shard
+        least = scenes.stop if extent == "at least" else first + 1
+        if extent != "all" and least <= self.last_scene + 1 <= first + schema.scenes_per_shard:
+            scenes = range(first, self.last_scene + 1)
         if self.fingerprint != fingerprint:
             return f"was made with another configuration (fingerprint {self.fingerprint[:12]})"
         if (self.first_scene, self.last_scene) != (scenes.start, scenes.stop - 1):
@@ -102,12 +111,27 @@ class ShardRecord:
             return "its record lacks digests"
         return None
 
-    def problem(self, root: Location, hashes: bool = True) -> str | None:
-        """A sentence on the first file of the shard that is not as written, or None; without `hashes`, by sizes."""
+    def cut(self, schema: Schema) -> ShardRecord:
+        """This record with those of its scenes alone that the schema has."""
+        here = len(schema.scenes_of(self.shard))
+        if len(self.scenes) <= here:
+            return self
+        return replace(self, last_scene=self.first_scene + here - 1, scenes=self.scenes[:here])
+
+    def problem(self, *places: Location, hashes: bool = True, instead: ShardRecord | None = None) -> str | None:
+        """A sentence on the first file of the shard that is as written in none of the `places`, or None if there is
+        no such file.
+
+        hashes : compare the bytes; without it, only sizes.
+        instead : a record whose files may have taken the places of some of these.
+        """
         for name, known in self.files.items():
-            wrong = difference(root / name, known.sha256 if hashes else None, known.bytes)
-            if wrong is not None:
-                return f"{name}: {wrong}"
+            due = [known] if instead is None else [known, instead.files[name]]
+            found = [
+                difference(place / name, of.sha256 if hashes else None, of.bytes) for of in due for place in places
+            ]
+            if None not in found:
+                return f"{name}: {next((what for what in found if what != 'missing'), 'missing')}"
         return None
 
 
@@ -145,8 +169,11 @@ def read_record(root: Location, shard: int) -> ShardRecord | None:
 
 def recorded_shards(root: Location) -> list[int]:
     """Numbers of the shards that have a record, ascending."""
-    matches = (re.fullmatch(r"shard-(\d+)\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
-    return sorted(int(match[1]) for match in matches if match)
+    matches = (re.fullmatch(r"shard-([0-9]{6,12})\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
+    # Of two names of one number, such as with more zeros, only the one counts that is opened.
+    return sorted(
+        {int(match[1]) for match in matches if match and match[0] == Path(_record_name(int(match[1]))).name}
+    )
 
 
 def sound_records(root: Location, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:

@@ -4,6 +4,9 @@ The commit record of a shard is uploaded after its files, and the table after al
 without its record, and take no dataset for complete without its table. A build that was interrupted can be resumed on
 another machine: it fetches the shards whose records are in the object store, instead of making them again. Object
 stores have no locks, so only one build at a time may write to an address.
+
+A complete dataset that grows stays as it is, as in a folder (`store/growth.py`). Its new shards are uploaded one by
+one; what takes the place of other objects is uploaded at the end, in the same order in which files take their places.
 """
 
 from __future__ import annotations
@@ -16,10 +19,12 @@ from pathlib import Path
 from datagen.errors import InputError
 from datagen.store.card import CARD
 from datagen.store.files import check_writable, holds, read_whole, write_atomically
+from datagen.store.growth import growth_of, standing_shards, turn
 from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
 from datagen.store.prepare import WHEN_COMPLETE, forget_complete, is_fresh
-from datagen.store.record import ShardRecord, record_path, recorded_shards, sound_records
+from datagen.store.record import GROWTH, ShardRecord, record_path, recorded_shards, sound_records
+from datagen.store.table import CROISSANT, TABLE
 
 
 @dataclass(frozen=True)
@@ -80,9 +85,10 @@ class Output:
                 f"output {bucket}: holds another dataset than {root}, made for it; delete one of the two"
             )
         missing = sorted({*recorded_shards(bucket)} - {*recorded_shards(root)})
+        schema = (growth_of(bucket, manifest) or manifest).schema
         for record in sound_records(bucket, missing):
             # A file that differs from its record is found by the build, which makes the shard again.
-            if record.mismatch(manifest.schema, manifest.fingerprint) or record.problem(bucket, hashes=False):
+            if record.mismatch(schema, manifest.fingerprint, "any") or record.problem(bucket, hashes=False):
                 continue
             for name in record.files:
                 (root / name).parent.mkdir(parents=True, exist_ok=True)
@@ -95,34 +101,74 @@ class Output:
         """Upload the manifest and the metadata of the arrays, if they are not there."""
         if self.bucket is None:
             return
+        if self._standing(manifest):
+            content = manifest.to_bytes()
+            if not holds(self.bucket / GROWTH / MANIFEST, content):
+                (self.bucket / GROWTH / MANIFEST).put(content)
+            return
         if not holds(self.bucket / MANIFEST, (self.folder / MANIFEST).read_bytes()):
-            # The dataset grows, or is repaired: files that say it is complete go before anything else changes.
+            # The dataset is repaired, or grows before it is complete: files that say it is complete go before
+            # anything else changes.
             forget_complete(self.bucket)
         for name in (MANIFEST, *manifest.metadata):
             self._put(self.bucket, name)
 
-    def put_shard(self, record: ShardRecord) -> None:
-        """Upload a committed shard, its record last, unless the same bytes are there."""
+    def _standing(self, manifest: Manifest) -> int:
+        """The number of shards in the object store that stay as they are until the dataset of `manifest` is complete:
+        those of a complete smaller one; 0 without one."""
+        assert self.bucket is not None
+        if not standing_shards(self.bucket, manifest) or read_manifest(self.bucket).stats is None:
+            return 0
+        is_described = all((self.bucket / name).is_file() for name in WHEN_COMPLETE)
+        return standing_shards(self.bucket, manifest) if is_described else 0
+
+    def put_shard(self, record: ShardRecord, manifest: Manifest) -> None:
+        """Upload a committed shard of the dataset of `manifest`, its record last, unless the same bytes are there.
+        One that takes the place of another when a growth is complete is left to `finish`."""
         if self.bucket is None:
             return
-        kept, there = record_path(self.folder, record.shard), record_path(self.bucket, record.shard)
-        if holds(there, kept.read_bytes()) and record.problem(self.bucket) is None:
+        standing = self._standing(manifest)
+        if record.shard >= standing and not record_path(self.folder / GROWTH, record.shard).is_file():
+            self._put_shard(self.bucket, record, standing)
+
+    def _put_shard(self, bucket: Bucket, record: ShardRecord, standing: int) -> None:
+        kept, there = record_path(self.folder, record.shard), record_path(bucket, record.shard)
+        if holds(there, kept.read_bytes()) and record.problem(bucket) is None:
             return
-        forget_complete(self.bucket)
-        there.unlink(missing_ok=True)
+        if record.shard < standing:
+            # Readers of the smaller dataset take the size of a file from this record, too.
+            record_path(bucket / GROWTH, record.shard).put(kept)
+        else:
+            if not standing:
+                forget_complete(bucket)
+            there.unlink(missing_ok=True)
         for name in record.files:
-            (self.bucket / name).put(self.folder / name)
+            (bucket / name).put(self.folder / name)
         there.put(kept)
 
-    def finish(self, records: Iterable[ShardRecord], complete: bool) -> None:
+    def finish(self, records: Iterable[ShardRecord], manifest: Manifest, complete: bool) -> None:
         """Upload what is missing or differs; the files of a complete dataset come last."""
         if self.bucket is None:
             return
+        standing = self._standing(manifest)
+        grows = standing > 0
+        if grows and not complete:
+            return
+        if grows:
+            for name in (CROISSANT, MANIFEST):
+                (self.bucket / GROWTH / name).put(self.folder / name)
         for record in records:
-            self.put_shard(record)
-        # The table comes before croissant.json, which holds the table's hash.
-        for name in (CARD, MANIFEST, *(WHEN_COMPLETE if complete else ())):
+            self._put_shard(self.bucket, record, standing)
+        names = (
+            [*sorted(manifest.metadata, key=turn), TABLE, CROISSANT, CARD, MANIFEST] if grows else [CARD, MANIFEST]
+        )
+        if complete and not grows:
+            # The table comes before croissant.json, which holds the table's hash.
+            names += WHEN_COMPLETE
+        for name in names:
             self._put(self.bucket, name)
+        if complete and growth_of(self.bucket, manifest) is None:
+            (self.bucket / GROWTH).unlink_below()
 
     def _put(self, bucket: Bucket, name: str) -> None:
         if not holds(bucket / name, (self.folder / name).read_bytes()):

@@ -136,6 +136,61 @@ def test_an_interrupted_upload_is_resumed(
     assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(local)
 
 
+@pytest.mark.parametrize("puts", [25, *(pytest.param(n, marks=pytest.mark.nightly) for n in (0, 10, 40, 47, 48))])
+def test_a_growth_that_is_interrupted_leaves_the_dataset_what_it_was(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, puts: int
+) -> None:
+    """Whatever the last object was; with the folder that shards were made in, and (odd numbers) without."""
+    config = small_config(scenes=6)
+    built(config)
+    left, whole = puts, Bucket.put
+
+    def put(self: Bucket, file: Path | bytes) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise KeyboardInterrupt
+        whole(self, file)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Bucket, "put", put)
+        with pytest.raises(KeyboardInterrupt):
+            built(config, scenes=9)
+    there = TransientDataset(ADDRESS, FIELDS)
+    build_fakes(config, tmp_path / "few")
+    few = TransientDataset(tmp_path / "few", FIELDS)
+    assert verify(ADDRESS, deep=True).problems == () and len(there) == 6 and there.stats == few.stats
+    assert all(torch.equal(there[scene][name], few[scene][name]) for scene in range(6) for name in FIELDS)
+    assert puts < 20 or len(TransientDataset(ADDRESS, partial=True)) == 7
+    if puts % 2:
+        shutil.rmtree(tmp_path / "staging")
+    assert built(config, scenes=9).complete
+    build_fakes(config, tmp_path / "many", scenes=9)
+    names = {key.relative_to(bucket.key).as_posix() for key in bucket._below()}
+    many = tmp_path / "many"
+    assert names == {path.relative_to(many).as_posix() for path in many.rglob("*") if path.is_file()}
+    assert verify(ADDRESS, deep=True).problems == () and dataset_digest(ADDRESS) == dataset_digest(many)
+
+
+def test_a_record_that_is_listed_and_not_found_is_a_problem(bucket: Bucket, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the listing and the request an object may go, or the store answers wrongly."""
+    built()
+    chunks = Bucket.chunks
+
+    def answered(self: Bucket) -> Any:
+        if self.name == "shard-000001.json":
+            raise FileNotFoundError(2, "no such object", str(self))
+        return chunks(self)
+
+    monkeypatch.setattr(Bucket, "chunks", answered)
+    found = verify(ADDRESS)
+    assert found.shards == 1 and any("shard 1: its commit record" in problem for problem in found.problems)
+    with pytest.raises(CheckError, match="1 of 2 shards are missing or damaged"):
+        dataset_digest(ADDRESS)
+    with pytest.raises(CheckError, match="shard 1 is not committed"):
+        TransientDataset(ADDRESS)[5]
+
+
 def test_damage_in_the_store_is_reported_and_repaired(bucket: Bucket) -> None:
     built()
     shard, record = bucket / "data.zarr/histogram/c/1/0/0/0", bucket / "build/shard-000000.json"
