@@ -20,7 +20,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -50,7 +50,7 @@ _PIECE_BYTES = 2**18
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[tuple[int, BinaryIO]]:
+def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
     """Size and content of a plain file. Raises `OSError` if there is none (errno EINVAL for what is no plain file,
     and may have no end or make its reader wait: a folder, pipe, socket or device, or a link to one), and `CheckError`
     if this process has too many files open."""

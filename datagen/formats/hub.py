@@ -24,6 +24,7 @@ from datagen.formats.recording import lattice, recording_of
 from datagen.records.arrays import Floats
 from datagen.store.card import CARD
 from datagen.store.files import read_whole, write_if_changed
+from datagen.store.growth import growth_of, is_of_dataset
 from datagen.store.scenes import SceneContent, Scenes
 from datagen.store.table import TABLE, read_table
 
@@ -59,7 +60,13 @@ def write_hub(scenes: Scenes, out: Path) -> list[Path]:
                 f"{path}: is a symbolic link, and what it leads to may be private; put a copy there (cp -rL copies a "
                 "dataset without links), then export it"
             )
-    files = [path for path in there if path.is_file()]
+    larger = growth_of(root, scenes.manifest)
+    if larger is not None and larger.stats is not None:
+        raise InputError(
+            f"{root}: its growth to {larger.schema.scenes} scenes was interrupted in its last step; run that build "
+            "again, then export it"
+        )
+    files = [path for path in there if path.is_file() and is_of_dataset(root, path, schema)]
     _check_limits(root, files)
     if out.exists() and any(out.iterdir()) and not (out / VIEWER).is_dir():
         raise InputError(f"output {out}: holds other files; name a new or an empty folder")

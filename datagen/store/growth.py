@@ -30,6 +30,7 @@ from datagen.store.files import PARTIAL, move, own_path
 from datagen.store.location import Location
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
 from datagen.store.record import BUILD, GROWTH, ShardRecord, recorded_shards, sound_records
+from datagen.store.schema import Schema
 from datagen.store.table import CROISSANT, TABLE
 
 _TURNS = (
@@ -86,6 +87,14 @@ def standing_shards(root: Location, manifest: Manifest) -> int:
     except InputError:
         return 0
     return smaller.schema.shards if smaller.schema.scenes < manifest.schema.scenes else 0
+
+
+def is_of_dataset(root: Path, path: Path, schema: Schema) -> bool:
+    """Whether a file below a dataset's folder is one of its own, and not of a larger dataset that it grows into."""
+    name = path.relative_to(root).as_posix()
+    shard = re.match(rf"(?:{GROUP}/\w+/c|{BUILD}/shard)[/-](\d+)", name)
+    is_beyond = shard is not None and int(shard[1]) >= schema.shards
+    return not is_beyond and not name.startswith(f"{GROWTH}/")
 
 
 def waiting_record(root: Location, manifest: Manifest, shard: int) -> ShardRecord | None:

@@ -17,7 +17,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 from datagen import untrusted
 from datagen.errors import CheckError, InputError
@@ -155,7 +155,7 @@ def location_of(path: str | Path | Bucket) -> Location:
 
 
 @contextmanager
-def opened(path: Location) -> Iterator[tuple[int, BinaryIO]]:
+def opened(path: Location) -> Iterator[tuple[int, io.BufferedReader | io.BytesIO]]:
     """Size and content of a plain file, or of an object. Raises `OSError` if there is none (errno EINVAL: it is no
     plain file), and `CheckError` if this process has too many files open."""
     if isinstance(path, Bucket):

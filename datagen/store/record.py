@@ -137,10 +137,11 @@ class ShardRecord:
 
 def record_path(root: AnyLocation, shard: int) -> AnyLocation:
     """Path of a shard's commit record."""
-    return root / _record_name(shard)
+    return root / record_name(shard)
 
 
-def _record_name(shard: int) -> str:
+def record_name(shard: int) -> str:
+    """Path of a shard's commit record, relative to the dataset."""
     return f"{BUILD}/shard-{shard:06d}.json"
 
 
@@ -151,7 +152,7 @@ def running_path(root: Path, shard: int) -> Path:
 
 def read_record(root: Location, shard: int) -> ShardRecord | None:
     """The record of a shard, or None if the shard is not committed. Raises `CheckError` for a damaged record."""
-    path = root / _record_name(shard)
+    path = root / record_name(shard)
     try:
         content = read_if_there(path)
         if content is None:
@@ -171,9 +172,7 @@ def recorded_shards(root: Location) -> list[int]:
     """Numbers of the shards that have a record, ascending."""
     matches = (re.fullmatch(r"shard-([0-9]{6,12})\.json", path.name) for path in (root / BUILD).glob("shard-*.json"))
     # Of two names of one number, such as with more zeros, only the one counts that is opened.
-    return sorted(
-        {int(match[1]) for match in matches if match and match[0] == Path(_record_name(int(match[1]))).name}
-    )
+    return sorted({int(match[1]) for match in matches if match and match[0] == Path(record_name(int(match[1]))).name})
 
 
 def sound_records(root: Location, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:

@@ -26,7 +26,7 @@ from datagen.store.growth import (
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import MANIFEST, Manifest, read_manifest
 from datagen.store.reader import DatasetReader
-from datagen.store.record import GROWTH, ShardRecord, read_record, record_path, recorded_shards, sound_records
+from datagen.store.record import GROWTH, ShardRecord, read_record, record_name, recorded_shards, sound_records
 from datagen.store.shard import digest
 from datagen.store.table import CROISSANT, TABLE, has_rows, read_table, write_table
 
@@ -147,7 +147,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
         if record is None:
             # It was listed: a link that leads nowhere, or an object that the store does not find now.
             problems.append(
-                f"shard {shard}: its commit record {record_path(root, shard)} is listed and cannot be opened; build "
+                f"shard {shard}: its commit record {root / record_name(shard)} is listed and cannot be opened; build "
                 "again to make the shard anew"
             )
             continue

@@ -22,9 +22,11 @@ from fake_samples import build_fakes, fails_at_5, fake_sample, small_config
 
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
+from datagen.formats import export
+from datagen.formats.hub import DATASET
 from datagen.loader import TransientDataset
 from datagen.records import Sample
-from datagen.store import growth, read_manifest, verify
+from datagen.store import growth, planned, read_manifest, verify
 from datagen.store.info import info
 from datagen.store.verify import dataset_digest
 
@@ -194,6 +196,40 @@ def test_a_growth_may_go_further_before_it_is_complete(tmp_path: Path) -> None:
     build_fakes(config(13), due)
     assert sorted(tried) == list(range(6, 13)) and dataset_digest(root) == dataset_digest(due)
     assert set(files(root)) == set(files(due)) and verify(root, deep=True).problems == ()
+
+
+def test_a_growth_that_version_1_0_0_began(tmp_path: Path, sound: Path, large: Path) -> None:
+    """It stated the larger dataset at once, and the last shard of the smaller one has too few scenes for that."""
+    root, tried = tmp_path / "set", list[int]()
+    shutil.copytree(sound, root)
+    content = planned(root, config(MANY)).to_bytes()
+    for name in ("samples.parquet", "croissant.json"):
+        (root / name).unlink()
+    for path in large.rglob("zarr.json"):
+        shutil.copy(path, root / path.relative_to(large))
+    (root / "dataset.json").write_bytes(content)
+    with pytest.raises(InputError, match=r"3 of 5 shards are not committed.*partial=True"):
+        TransientDataset(root)
+    data = TransientDataset(root, FIELDS, partial=True)
+    assert data.scenes.tolist() == [*range(FEW)] and same(values(data), values(TransientDataset(large, FIELDS)))
+    assert verify(root).problems and info(root)
+
+    def sample(config: DatasetConfig, index: int) -> Sample:
+        tried.append(index)
+        return fake_sample(config, index)
+
+    grow(root, sample_function=sample)
+    assert sorted(tried) == [*range(FEW, MANY)] and dataset_digest(root) == dataset_digest(large)
+
+
+def test_exports_of_a_dataset_that_grows_are_those_of_the_smaller_one(tmp_path: Path, sound: Path) -> None:
+    root = tmp_path / "set"
+    shutil.copytree(sound, root)
+    grow(root, shards="2-3")
+    export(root, tmp_path / "hub", "hub")
+    assert files(tmp_path / "hub" / DATASET) == files(sound)
+    assert len(export(root, tmp_path / "npz", "npz")) == FEW
+    assert dataset_digest(root) == dataset_digest(sound)
 
 
 def test_damage_to_what_waits_is_told_and_made_anew(tmp_path: Path, sound: Path, large: Path) -> None:
