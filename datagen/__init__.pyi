@@ -5,6 +5,7 @@ from .building.build import BuildResult as BuildResult
 from .building.build import build as build
 from .building.build_from import build_from as build_from
 from .building.on_the_fly import GeneratedDataset as GeneratedDataset
+from .building.replay import replay as replay
 from .capture import capture_for as capture_for
 from .config import DatasetConfig as DatasetConfig
 from .config import EffectsConfig as EffectsConfig

@@ -210,7 +210,7 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
 @cli.command()
 @click.argument("dataset")
 @click.option("--deep", is_flag=True, help="Decode every value, too, and compare it with its digest.")
-@click.option("--resimulate", type=int, default=0, metavar="N", help="Simulate N random scenes again, to the bit.")
+@click.option("--resimulate", type=int, default=0, metavar="N", help="Make N random scenes again, as `replay` does.")
 def verify(dataset: str, deep: bool, resimulate: int) -> None:
     """Check every file of DATASET against the hashes in its commit records."""
     if_ended(CHANGED_NOTHING)
@@ -266,6 +266,21 @@ def show(dataset: str, index: int, out: str | None) -> None:
     # On standard error, so that standard output has paths alone.
     then = f"next: datagen preview {shlex.quote(dataset)}; README (Train on it) trains a network on such a dataset"
     say(as_line(then), err=True)
+
+
+@cli.command()
+@click.argument("dataset")
+@click.argument("scene", type=int)
+def replay(dataset: str, scene: int) -> None:
+    """Make scene SCENE of DATASET again, compare it field by field, and name the stage where it first differs."""
+    if_ended(CHANGED_NOTHING)
+    from datagen.building.replay import replayed
+
+    found = replayed(dataset, scene)
+    say(found.text())
+    problem = found.problem()
+    if problem is not None:
+        raise CheckError(problem)
 
 
 @cli.command()

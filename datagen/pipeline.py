@@ -18,6 +18,7 @@ from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, detect_and_choice, detector_for
 from datagen.devices import zone_depth
 from datagen.effects import EffectDecisions, decide_detector_effects
+from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.image import representative_pairs
@@ -29,6 +30,7 @@ from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
 from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
+from datagen.records.label_fields import LABEL_FIELDS
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.coincidence import set_apart
@@ -36,6 +38,53 @@ from datagen.transport.lines_of_sight import lit_points, seen_points
 from datagen.transport.rays import Raycaster
 
 BACKGROUND_FIELDS = ("background_histogram", "background_transient")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the way to a sample.
+
+    fields : names of the arrays that it gives.
+    parameters : names of the parameters that it gives, or what such names begin with.
+    seconds : keys of `Sample.seconds` that are its own.
+    """
+
+    name: str
+    fields: tuple[str, ...]
+    parameters: tuple[str, ...]
+    seconds: tuple[str, ...]
+
+
+def _labels_of(*rooms: str) -> tuple[str, ...]:
+    return tuple(of.name for of in LABEL_FIELDS if of.made_by.partition(".")[0] in rooms)
+
+
+_TRANSPORT = tuple(f"effect.{effect.name}." for effect in TRANSPORT_EFFECTS)
+STAGES = (
+    Stage("room", ("relay_wall", "hidden_view", "hidden_bounds"), ("evidence.placed_anew",), ("scene",)),
+    Stage(
+        "capture",
+        ("laser_position", "laser_points", "laser_normals", "sensor_position", "sensor_pixels", "sensor_points",
+         "sensor_normals"),
+        SCAN_PLACE, (),
+    ),
+    Stage("detector", (), ("detector.", "exposure."), ()),
+    Stage(
+        "light", ("transient", "transient_stderr", "background_transient"), ("transient.", "transport.", *_TRANSPORT),
+        ("effects", "transport", "background"),
+    ),
+    Stage(
+        "counts", ("histogram", "background_histogram"), ("histogram.", "sampler.", "effect."), ("detector",),
+    ),
+    Stage("evidence", _labels_of("evidence"), ("evidence.",), ("evidence", "presence")),
+    Stage("labels", _labels_of("labels", "devices"), (), ("labels",)),
+)  # fmt: skip
+"""The stages in the order in which a sample is made; labels need the room alone."""
+
+
+def stage_of_parameter(name: str) -> Stage:
+    """The stage that gives a parameter; what no other stage names was drawn for the room."""
+    return next((stage for stage in STAGES if name.startswith(stage.parameters)), STAGES[0])
 
 
 def simulate_sample(config: DatasetConfig, index: int) -> Sample:

@@ -44,8 +44,9 @@ def jobs_go_to(engine: Any) -> Iterator[None]:
 
 @contextmanager
 def one_worker_here() -> Iterator[None]:
-    """A context in which builds of one worker run in this process, for samples that no other process can make."""
-    from datagen.building import build, engines
+    """A context in which builds of one worker, and scenes made again, run in this process, for samples that no other
+    process can make."""
+    from datagen.building import build, engines, replay, resimulate
 
     @contextmanager
     def started(engine: str, workers: int, scheduler: str | None) -> Iterator[engines.Engine]:
@@ -56,5 +57,6 @@ def one_worker_here() -> Iterator[None]:
                 yield running
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "started", started)
+        for module in (build, replay, resimulate):
+            patch.setattr(module, "started", started)
         yield

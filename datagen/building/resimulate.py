@@ -1,63 +1,60 @@
-"""Scenes of a dataset simulated again and compared bit for bit with the stored values."""
+"""Scenes of a dataset, drawn at random, made again and compared with the stored ones."""
 
 from __future__ import annotations
 
 import random
 
 from datagen._version import __version__
+from datagen.building.comparison import Comparison
 from datagen.building.engines import started
-from datagen.config import DatasetConfig
+from datagen.building.replay import config_to_replay, replayed_by
 from datagen.errors import CheckError, InputError
-from datagen.pipeline import simulate_sample
-from datagen.store import Schema, committed, read_manifest
-from datagen.store.environment import made_with, mixed
-from datagen.store.location import Location, location_of
+from datagen.store.location import Location
 from datagen.store.scenes import Scenes
-from datagen.store.shard import digest, encoded
 
 
 def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]:
-    """Simulate `scenes` scenes of a dataset again (all if it has fewer). Each call draws other scenes at random.
+    """Make `scenes` scenes of a dataset again (all if it has fewer). Each call draws other scenes at random.
 
     Returns
     -------
-    The indices of the scenes, and a line for each scene that has fields with other values than the stored ones.
+    The indices of the scenes, and a line for each scene that is not the same as the stored one, or not in agreement
+    with it if another processor made that.
 
     Raises
     ------
-    InputError : no dataset, one of another version of datagen, `scenes` < 1, or a mesh file is missing or
-        has changed.
+    InputError : no dataset, one of another version of datagen, `scenes` < 1, scenes that cannot be made again, or a
+        mesh file is missing or has changed.
     CheckError : no scene of the dataset is there.
     """
-    root = location_of(path)
+    stored = Scenes(path)
     if scenes < 1:
         raise InputError(f"--resimulate {scenes}: must be ≥ 1")
-    manifest = read_manifest(root)
+    manifest = stored.manifest
     if manifest.made_by["datagen"] != __version__:
         raise InputError(
-            f"{root}: made by datagen {manifest.made_by['datagen']}, and this is {__version__}, which may make other "
-            "scenes of the same seed; use the version that made it"
+            f"{stored.root}: made by datagen {manifest.made_by['datagen']}, and this is {__version__}, which may "
+            "make other scenes of the same seed; use the version that made it, or `datagen replay` for a single scene"
         )
-    config = manifest.parsed_config()
-    made = Scenes(root).made()
+    config = config_to_replay(stored.root, manifest)
+    made = stored.made()
     if not made:
-        raise CheckError(f"{root}: no scene is there to be simulated again; build it first")
+        raise CheckError(f"{stored.root}: no scene is there to be simulated again; build it first")
     chosen = sorted(random.SystemRandom().sample(made, min(scenes, len(made))))
-    problems = []
     # In a worker with one thread, as in a build: several threads could add numbers up in another order.
     with started("local", 1, None) as running:
-        for index in chosen:
-            record = committed(root, manifest, [index // manifest.schema.scenes_per_shard])[0]
-            scene = next(scene for scene in record.scenes if scene.index == index)
-            now = running.submit(_digests, config, manifest.schema, index).result()
-            fields = [name for name, due in scene.digests.items() if now[name] != due]
-            if fields:
-                why = "; ".join(mixed([record.made_by, made_with()], also=("processor",)))
-                made_otherwise = f" (what it was made with differs: {why})" if why else ""
-                problems.append(f"scene {index}: simulated again, {', '.join(fields)} differ{made_otherwise}")
-    return chosen, problems
+        found = [replayed_by(running, stored, config, index) for index in chosen]
+    return chosen, [line for comparison in found for line in _problems(comparison)]
 
 
-def _digests(config: DatasetConfig, schema: Schema, index: int) -> dict[str, str]:
-    arrays = simulate_sample(config, index).arrays
-    return {field.name: digest(field, encoded(field, arrays[field.name])) for field in schema.fields}
+def _problems(found: Comparison) -> list[str]:
+    if found.again.record.failure is not None:
+        return [f"scene {found.index}: cannot be made again: {found.again.record.failure}"]
+    lines = []
+    if found.differing:
+        names = [row.name if row.name != "parameters" else f"parameters of {row.stage}" for row in found.differing]
+        otherwise = f" (what it was made with differs: {'; '.join(found.elsewhere)})" if found.elsewhere else ""
+        lines.append(f"scene {found.index}: simulated again, {', '.join(names)} differ{otherwise}")
+    if found.damaged:
+        lines.append(f"scene {found.index}: {', '.join(row.name for row in found.damaged)}: damaged")
+    return lines

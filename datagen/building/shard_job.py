@@ -73,7 +73,7 @@ class Recipe:
 def make_scene(recipe: Recipe, index: int) -> bytes | str:
     """One scene as a pickled sample, or one line on why there is none."""
     _check_environment(recipe)
-    sample = _attempt(recipe, index)
+    sample = attempt(recipe.sample_function, recipe.config, index, recipe.scene_seconds)
     try:
         return sample if isinstance(sample, str) else pickle.dumps(sample)
     except Exception as error:
@@ -160,19 +160,21 @@ def _samples(recipe: Recipe, scenes: Iterable[int], known: Known) -> Samples:
     for index in scenes:
         outcome = known.get(index)
         if outcome is None:
-            yield index, _attempt(recipe, index)
+            yield index, attempt(recipe.sample_function, recipe.config, index, recipe.scene_seconds)
         else:
             yield index, outcome if isinstance(outcome, str) else pickle.loads(outcome)
 
 
-def _attempt(recipe: Recipe, index: int) -> Sample | str:
+def attempt(
+    sample_function: SampleFunction, config: DatasetConfig, index: int, seconds: float | None = None
+) -> Sample | str:
     """The sample, or one line on why there is none. After an error the scene is tried once more, except for bad input
-    and a scene that took too long."""
+    and a scene that took longer than `seconds`."""
     reason = ""
     for _ in range(2):
         try:
-            with limited(recipe.scene_seconds):
-                return recipe.sample_function(recipe.config, index)
+            with limited(seconds):
+                return sample_function(config, index)
         except (InputError, Overtime) as error:
             return str(error)
         except Ended:

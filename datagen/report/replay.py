@@ -142,9 +142,6 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     """
     stored = Scenes(dataset)
     manifest, names = stored.manifest, stored.manifest.schema.by_name
-    scenes = manifest.schema.scenes
-    if not 0 <= index < scenes:
-        raise InputError(f"INDEX {index}: {dataset} has the scenes 0 … {scenes - 1}; name one of them")
     content = stored.read(index, "INDEX")
     classes = names["object_class"].classes if "object_class" in names else ()
     config, missing = config_of(manifest)

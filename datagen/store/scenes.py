@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import CheckError, InputError
 from datagen.records import Scalar, TimeAxis
+from datagen.records.checks import shown
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader
-from datagen.store.record import read_record, scenes_made
+from datagen.store.record import SceneRecord, ShardRecord, read_record, scenes_made
 from datagen.store.verify import each_committed
 
 
@@ -49,21 +51,36 @@ class Scenes:
         """The indices of the scenes of committed shards that could be made, ascending."""
         return [scene.index for scene in scenes_made(each_committed(self.root, self.manifest))]
 
-    def read(self, index: int, called: str = "scene") -> SceneContent:
-        """The scene of an index. Raises `InputError`, which calls it `called`, if it is not there or was not made."""
+    def record(self, index: int, called: str = "scene") -> tuple[ShardRecord, SceneRecord]:
+        """The record of the shard of scene `index`, and the scene's own, also of a scene that could not be made.
+
+        Raises `InputError`, which calls the scene `called`, if the dataset has no such scene, or not yet, and
+        `CheckError` for a record that is damaged, or of another dataset.
+        """
         schema = self.manifest.schema
-        shard = index // schema.scenes_per_shard
+        if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < schema.scenes:
+            raise InputError(
+                f"{called} {shown(index)}: {self.root} has the scenes 0 … {schema.scenes - 1}; name one of them"
+            )
+        shard = int(index) // schema.scenes_per_shard
         record = read_record(self.root, shard)
-        if record is None:
+        if record is not None:
+            wrong = record.mismatch(schema, self.manifest.fingerprint, "any")
+            if wrong is not None:
+                raise CheckError(f"{self.root}: shard {shard} {wrong}; run the same `datagen build` again")
+        if record is None or index > record.last_scene:
             raise InputError(
                 f"{called} {index}: shard {shard} of {self.root} is not there yet; run `datagen build` again, or "
                 "name a scene that is"
             )
-        failure = record.failures.get(index)
-        if failure is not None:
+        return record, record.scenes[int(index) - record.first_scene]
+
+    def read(self, index: int, called: str = "scene") -> SceneContent:
+        """The scene of an index. Raises as `record` does, and `InputError` for a scene that could not be made."""
+        _, scene = self.record(index, called)
+        if scene.failure is not None:
             raise InputError(
-                f"{called} {index}: this scene of {self.root} could not be made ({failure}); name another one"
+                f"{called} {index}: this scene of {self.root} could not be made ({scene.failure}); name another one"
             )
-        arrays = {name: self._reader.read(name, [index])[0] for name in schema.by_name}
-        parameters = next(scene.parameters for scene in record.scenes if scene.index == index)
-        return SceneContent(self.root, self.manifest, index, arrays, parameters)
+        arrays = {name: self._reader.read(name, [index])[0] for name in self.manifest.schema.by_name}
+        return SceneContent(self.root, self.manifest, index, arrays, scene.parameters)

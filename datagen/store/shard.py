@@ -101,7 +101,10 @@ def write_shard(
     records, store_s = list[SceneRecord](), 0.0
     for index, sample in samples:
         begun = time.perf_counter()
-        records.append(_fill_in(made, scenes.start, index, sample))
+        record, values = record_of(made, index, sample)
+        records.append(record)
+        for field, value in values.items():
+            made[field][index - scenes.start] = value
         store_s += time.perf_counter() - begun
     begun = time.perf_counter()
     # Folders are not synced: if a power cut loses the name of a file, the next build makes the shard again.
@@ -111,13 +114,13 @@ def write_shard(
         files[name] = _write_new(root / name, content)
     now = time.time()
     seconds = {"store": store_s + time.perf_counter() - begun, "total": now - started}
-    record = ShardRecord(
+    whole = ShardRecord(
         shard, scenes.start, scenes.stop - 1, fingerprint, files, tuple(records), seconds, started, now,
         dict(made_by or made_with()),
     )  # fmt: skip
     (root / BUILD).mkdir(exist_ok=True)
-    write_atomically(record_path(root, shard), record.to_bytes())
-    return record
+    write_atomically(record_path(root, shard), whole.to_bytes())
+    return whole
 
 
 def _write_new(path: Path, content: bytes) -> FileRecord:
@@ -130,23 +133,24 @@ def _write_new(path: Path, content: bytes) -> FileRecord:
     return FileRecord(hashlib.sha256(content).hexdigest(), len(content))
 
 
-def _fill_in(made: Mapping[Field, NDArray[np.generic]], first: int, index: int, sample: Sample | str) -> SceneRecord:
-    """Copy a sample's values into the arrays of a shard whose first scene is `first`; returns its record."""
+def record_of(
+    fields: Iterable[Field], index: int, sample: Sample | str
+) -> tuple[SceneRecord, dict[Field, NDArray[np.generic]]]:
+    """The record of a scene, and the values of its fields as they are stored. These are empty for a scene that cannot
+    be stored, or of which there is only a reason why it could not be made."""
     if isinstance(sample, str):
-        return SceneRecord(index, failure=printable(sample))
+        return SceneRecord(index, failure=printable(sample)), {}
     try:
-        values = {field: _value(field, sample) for field in made}
+        values = {field: _value(field, sample) for field in fields}
         parameters = {name: _plain(name, value) for name, value in sample.parameters.items()}
         seconds = {name: _finite(name, value) for name, value in sample.seconds.items()}
     except Exception as error:
         # A sample function of the user may return anything; its scene then fails, not the build.
         reason = str(error) if isinstance(error, InputError) else f"not a sample: {type(error).__name__}: {error}"
-        return SceneRecord(index, failure=printable(" ".join(reason.split())))
-    for field, value in values.items():
-        made[field][index - first] = value
+        return SceneRecord(index, failure=printable(" ".join(reason.split()))), {}
     digests = {field.name: digest(field, value) for field, value in values.items()}
     stats = {field.name: stats_of(field.name, value) for field, value in values.items() if field.name in WITH_STATS}
-    return SceneRecord(index, None, digests, parameters, seconds, stats)
+    return SceneRecord(index, None, digests, parameters, seconds, stats), values
 
 
 def _value(field: Field, sample: Sample) -> NDArray[np.generic]:

@@ -18,7 +18,7 @@ from datagen.config import DatasetConfig
 from datagen.detector import detector_for, expected_histogram
 from datagen.errors import CheckError
 from datagen.pipeline import simulate_sample
-from datagen.records.arrays import Floats
+from datagen.records.agreement import Agreement, counts_agreement, counts_in_spans, same_parameter
 from datagen.scene import generate_scene
 from datagen.store.files import json_bytes, parsed, read_whole
 from datagen.store.record import Parameter
@@ -26,12 +26,6 @@ from datagen.store.scenes import Scenes
 
 SCENES = 4
 """First scenes of a suite that are published: enough to tell other rooms or other light, and made in seconds."""
-SPANS = 8
-"""Equal spans of the time axis in which counts are added up, over the whole scan."""
-ROOM_TOLERANCE = 1e-9
-"""Largest relative difference of a number that was drawn for a room, far above what rounding comes to."""
-COUNTING_SIGMAS = 4.0
-"""Standard deviations by which drawn counts may be off their mean; one sound suite in ten thousand is further off."""
 
 _Count = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
 
@@ -41,7 +35,7 @@ class PublishedScene:
     """One scene.
 
     room : what was drawn for the room, by the names of `samples.parquet`.
-    counts : expected counts of all pixels and laser points in `SPANS` spans of time.
+    counts : expected counts of all pixels and laser points in spans of time (`counts_in_spans`).
     light_error : claimed relative L2 error of the light that they were made from.
     """
 
@@ -67,15 +61,6 @@ class Published:
         path.write_bytes(json_bytes(self))
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """The relative L2 difference of the counts of a dataset from the published ones, and the largest that the claimed
-    errors and the law of counting allow."""
-
-    difference: float
-    allowed: float
-
-
 def publish(config: DatasetConfig, scenes: int = SCENES) -> Published:
     """Simulate the first scenes of a suite for publication."""
     return Published(__version__, tuple(_published_scene(config, index) for index in range(scenes)))
@@ -93,49 +78,35 @@ def _published_scene(config: DatasetConfig, index: int) -> PublishedScene:
     sample = simulate_sample(config.model_copy(update={"store": with_light}), index)
     time = config.capture.time.axis()
     detector = detector_for(config.detector, config.seed, index, time)
-    counts = _in_spans(expected_histogram(sample.arrays["transient"], time, *detector, approximate=True))
+    counts = counts_in_spans(expected_histogram(sample.arrays["transient"], time, *detector, approximate=True))
     error = float(sample.parameters["transient.relative_error"])
     return PublishedScene(room_of(config, index), tuple(counts.round(3).tolist()), error)
 
 
-def _in_spans(histogram: Floats) -> Floats:
-    """(SPANS,) the counts of a histogram (L, P, T) in equal spans of time."""
-    return np.asarray(histogram.sum(axis=(0, 1), dtype=np.float64).reshape(SPANS, -1).sum(axis=1))
-
-
 def check_agreement(dataset: str | Path, published: Published) -> Agreement:
-    """Compare the first scenes of a dataset with the published ones.
+    """The agreement of the counts of the first scenes of a dataset with the published ones.
 
     Raises `CheckError`, which names the first number of a room that differs, or how far the counts are off; and
     `InputError` if a scene is not there.
     """
-    stored, found, due, allowed = Scenes(dataset), [], [], []
+    stored, found, due, claimed = Scenes(dataset), [], [], []
     for index, scene in enumerate(published.scenes):
         content = stored.read(index)
         for name, value in scene.room.items():
             own = content.parameters.get(name)
-            if not _same(own, value):
+            if not same_parameter(own, value):
                 raise CheckError(
                     f"{dataset}: scene {index} has another room than published by datagen {published.datagen}: "
                     f"{name} = {own}, published {value}"
                 )
         due.append(np.array(scene.counts))
-        found.append(_in_spans(content.arrays["histogram"]))
-        errors = scene.light_error + float(content.parameters["transient.relative_error"])
-        allowed.append(errors * np.linalg.norm(due[-1]))
-    size, drawn = np.linalg.norm(due), COUNTING_SIGMAS * np.sqrt(np.sum(due))
-    agreement = Agreement(
-        float(np.linalg.norm(np.subtract(found, due)) / size), float((np.linalg.norm(allowed) + drawn) / size)
-    )
-    if not agreement.difference <= agreement.allowed:
+        found.append(counts_in_spans(content.arrays["histogram"]))
+        claimed.append(scene.light_error + float(content.parameters["transient.relative_error"]))
+    # What is published are means, so chance is that of one side alone.
+    agreement = counts_agreement(found, due, claimed, drawn=float(np.sum(due)))
+    if not agreement.holds:
         raise CheckError(
             f"{dataset}: counts of the first {len(due)} scenes are {agreement.difference:.1%} off those published by "
             f"datagen {published.datagen}; the claimed errors of the light and chance allow {agreement.allowed:.1%}"
         )
     return agreement
-
-
-def _same(own: Parameter | None, published: Parameter) -> bool:
-    if isinstance(own, float) and isinstance(published, float):
-        return abs(own - published) <= ROOM_TOLERANCE * max(abs(published), 1.0)
-    return own == published

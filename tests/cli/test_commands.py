@@ -6,16 +6,16 @@ import re
 import shutil
 import subprocess
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 from damage import reseal
-from here_and_now import HereAndNow
+from datasets import rewritten
 
-from datagen.building import resimulate
 from datagen.cli import run
 from datagen.report import pages
+from datagen.store.scenes import Scenes
 from datagen.store.verify import dataset_digest
 
 pytestmark = pytest.mark.usefixtures("builds_here")
@@ -90,9 +90,8 @@ def test_two_workers_simulate_the_same_values(built: Path, tmp_path: Path) -> No
 
 
 def test_scenes_simulated_again_are_those_stored(
-    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    built: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(resimulate, "started", lambda *_: nullcontext(HereAndNow()))
     dataset = str(built / "out/tiny.zarr")
     assert run(["verify", dataset, "--deep", "--resimulate", "9"]) == 0
     assert capsys.readouterr().out.endswith("all as written; scenes simulated again: 0, 1, 2\n")
@@ -104,10 +103,14 @@ def test_scenes_simulated_again_are_those_stored(
     record = tmp_path / "set/build/shard-000001.json"
     reseal(record, lambda values: values["scenes"][0]["digests"].update(histogram="0" * 64))
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
+    assert "scene 2: histogram: damaged\n" in capsys.readouterr().out
+    drawn = np.array(Scenes(dataset).read(2).arrays["histogram"]) + 9
+    other = rewritten(Path(dataset), tmp_path / "other", 2, histogram=drawn)
+    assert run(["verify", str(other), "--resimulate", "3"]) == 1
     assert "scene 2: simulated again, histogram differ\n" in capsys.readouterr().out
-    reseal(record, lambda values: values["made_by"].update(processor="another"))
-    assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 1
-    assert "(what it was made with differs: processor another and " in capsys.readouterr().out
+    reseal(other / "build/shard-000001.json", lambda values: values["made_by"].update(processor="another"))
+    assert run(["verify", str(other), "--resimulate", "3"]) == 1
+    assert "histogram differ (what it was made with differs: processor another and " in capsys.readouterr().out
     reseal(tmp_path / "set/dataset.json", lambda values: values["made_by"].update(datagen="9.9.9"))
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 2
     assert "made by datagen 9.9.9, and this is" in capsys.readouterr().err

@@ -184,8 +184,12 @@ def test_a_configuration_cannot_ask_for_it(tmp_path: Path, capsys: pytest.Captur
     ):
         with pytest.raises(dg.InputError, match="imported, and have no room to draw"):
             call()
-    assert run(["verify", "--resimulate", "1", str(tmp_path / "set")]) == 2
-    assert "no room to draw" in capsys.readouterr().err
+    for command in (["verify", "--resimulate", "1", str(tmp_path / "set")], ["replay", str(tmp_path / "set"), "0"]):
+        assert run(command) == 2
+        assert (
+            "cannot be made again: these captures were imported, and have no room to draw\n"
+            in capsys.readouterr().err
+        )
 
 
 def test_a_file_that_changes_during_the_import_is_refused(tmp_path: Path) -> None:

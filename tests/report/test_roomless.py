@@ -133,5 +133,5 @@ def test_what_is_nothing_to_draw_is_told(given: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match="made in Python, and cannot be drawn again"):
             call()
-    assert run(["verify", "--resimulate", "1", str(given)]) == 2
+    assert run(["verify", "--resimulate", "1", str(given)]) == run(["replay", str(given), "0"]) == 2
     assert not (tmp_path / "again").exists() and not (tmp_path / "sheet.png").exists()

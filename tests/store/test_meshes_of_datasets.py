@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 import trimesh
-from here_and_now import HereAndNow
 
 import datagen as dg
-from datagen.building import resimulate
 from datagen.cli import run
 from datagen.config import load_config
 from datagen.store import read_manifest
@@ -34,6 +31,7 @@ ITEMS = {
 COMMANDS = {
     "show": ["show", "SET", "0"],
     "verify": ["verify", "SET", "--resimulate", "1"],
+    "replay": ["replay", "SET", "0"],
     "export": ["export", "SET", "OUT", "--format", "glb"],
 }
 
@@ -53,7 +51,6 @@ def made(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
     write_mesh(elsewhere / mesh, 0.2)
     (folder / "config.yaml").write_text(CONFIG.replace("ITEM", item))
     monkeypatch.chdir(elsewhere)
-    monkeypatch.setattr(resimulate, "started", lambda *_: nullcontext(HereAndNow()))
     dg.build(load_config(folder / "config.yaml"), tmp_path / "set", progress=False)
     return tmp_path / "set", folder / mesh
 
@@ -67,7 +64,7 @@ def test_meshes_are_found_from_another_working_directory(made: Any, capsys: pyte
     root, mesh = made
     manifest = read_manifest(root)
     assert manifest.mesh_folder == str(root.parent / "configs")
-    names = ["verify", "export"]
+    names = ["verify", "replay", "export"]
     if mesh.parent.name != "cat":
         names.append("show")
         assert [*manifest.meshes.values()] == [hashlib.sha256(mesh.read_bytes()).hexdigest()]
@@ -102,5 +99,5 @@ def test_a_changed_or_missing_mesh_is_refused_in_a_line(made: Any, capsys: pytes
     for stand_in in (None, Path.touch if is_folder else Path.mkdir):
         if stand_in is not None:
             stand_in(place)
-        for name in ("verify", "export"):
+        for name in ("verify", "replay", "export"):
             assert "is missing; put the one of SHA-256 " in refused(name)

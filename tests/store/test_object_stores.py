@@ -15,8 +15,11 @@ from typing import Any
 import pytest
 import torch
 from fake_samples import build_fakes, small_config
+from here_and_now import one_worker_here
 
 from datagen.building.build import BuildResult
+from datagen.building.replay import replay
+from datagen.cli import run
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.formats import export
@@ -106,6 +109,16 @@ def test_a_dataset_in_a_store_equals_one_in_a_folder(bucket: Bucket, local: Path
     assert (again.built, again.kept) == (0, 2)
     grown = built(scenes=12)
     assert (grown.built, grown.kept, grown.complete) == (1, 2, True) and verify(ADDRESS).problems == ()
+
+
+def test_a_scene_is_made_again_from_there(bucket: Bucket, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a dataset whose samples were made up; the simulation gives another room."""
+    built(small_config(scenes=8, transport={"samples": 16}))
+    with one_worker_here():
+        assert run(["replay", ADDRESS, "5"]) == 1
+    out, err = capsys.readouterr()
+    assert out.startswith(f"{ADDRESS}, scene 5: made again") and f"{ADDRESS}: scene 5: the first stage that" in err
+    assert replay(ADDRESS, 5).arrays["histogram"].shape == (4, 1, 16)
 
 
 @pytest.mark.parametrize("puts", [17, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1, 6, 11))])

@@ -298,6 +298,7 @@ def test_a_stored_configuration_reads_no_file(
         ["show", str(dataset), "0"],
         ["preview", str(dataset)],
         ["verify", str(dataset), "--resimulate=1"],
+        ["replay", str(dataset), "0"],
     ):
         assert run(command) == 2
         out, err = capsys.readouterr()
