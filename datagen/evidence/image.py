@@ -7,7 +7,8 @@ the middle of the footprint of a sensor pixel. The light of three bounces with t
 
 photons, with W the sensor's share and a the area of the footprint. It arrives in one bin, where a photon gives
 `detector.own_light.detections_per_photon` detections. Their sum over the scan is the value of the label pixel. A few
-representative pairs of laser point and sensor pixel stand for the whole scan (`ScanPairs`); nothing is random.
+representative pairs of laser point and sensor pixel stand for the whole scan (`ScanPairs`), each with the light that
+a flood gives to its laser points and the sensitivity of its pixels; nothing is random.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.labels.frame import image_points
 from datagen.labels.images import HiddenSurface
-from datagen.records import Capture, Scene
+from datagen.records import Capture, Scene, Sensor
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.transport.brdf import MaterialTable, dot
 from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
@@ -41,65 +42,94 @@ give finer steps to shadows that move over the scan."""
 class ScanPairs:
     """S representative pairs of laser point and pixel.
 
-    lasers, seen : their laser points, and the points in the middle of their pixels' footprints.
+    lasers, seen : their laser points, and the points in the middle of their pixels' footprints, as of pixels that are
+        fully sensitive everywhere.
     histogram : (S, 2) laser point and pixel of the histogram of each pair.
-    times : (S,) number of the scan's pairs for which each stands; of a flood, its share of the light.
+    times : (S,) number of the scan's pairs for which each stands, counted by the pixels' mean sensitivity and
+        crosstalk and, of a flood, by the laser points' shares of the light.
+    late_bins : (S,) bins by which light is recorded late (`Sensor.delays_s`).
     """
 
     lasers: LaserPoints
     seen: FovPool
     histogram: Ints
     times: Floats
+    late_bins: Floats
 
 
 def representative_pairs(caster: Raycaster, scene: Scene, capture: Capture) -> ScanPairs | None:
-    """The pairs that stand for a capture; None if no laser ray meets the scene or no pixel sees it."""
+    """The pairs that stand for a capture; None if no light enters the scene or no pixel sees it."""
     lasers, sensor = LaserPoints.of(caster, scene, capture.laser), capture.sensor
+    is_flood = capture.illumination == "flood"
+    # In units of an equal share of a flood's light.
+    light = np.ones(len(lasers.part))
+    if is_flood and capture.laser.weights is not None:
+        light = capture.laser.weights * len(light)
+    looks_at, sensitive = _sensitivities(sensor)
     met = caster.closest(sensor.position, sensor.pixels.mean(axis=1) - sensor.position)
-    lit, sees = np.flatnonzero(lasers.part >= 0), np.flatnonzero(met.valid)
+    lit, sees = np.flatnonzero((lasers.part >= 0) & (light > 0)), np.flatnonzero(met.valid & (sensitive > 0))
     if capture.pairing == "confocal":
         both = np.intersect1d(lit, sees)
-        chosen, times = _representatives(lasers.position[both], SCAN_PAIRS)
+        chosen, times = _representatives(lasers.position[both], sensitive[both], SCAN_PAIRS)
         pairs = np.stack([both[chosen], both[chosen]], axis=1)
         histogram = np.stack([pairs[:, 0], np.zeros_like(chosen)], axis=1)
     else:
         few = min(len(lit), max(SCAN_PAIRS // max(len(sees), 1), math.isqrt(SCAN_PAIRS)))
-        few_lasers, lasers_each = _representatives(lasers.position[lit], few)
-        few_pixels, pixels_each = _representatives(met.position[sees], SCAN_PAIRS // max(few, 1))
+        few_lasers, of_light = _representatives(lasers.position[lit], light[lit], few)
+        few_pixels, of_pixels = _representatives(met.position[sees], sensitive[sees], SCAN_PAIRS // max(few, 1))
         pairs = np.stack(np.meshgrid(lit[few_lasers], sees[few_pixels], indexing="ij"), axis=-1).reshape(-1, 2)
-        times, histogram = np.outer(lasers_each, pixels_each).reshape(-1), pairs.copy()
-        if capture.illumination == "flood":
-            times, histogram[:, 0] = times / len(lasers.part), 0
+        times, histogram = np.outer(of_light, of_pixels).reshape(-1), pairs.copy()
+        if is_flood:
+            times, histogram[:, 0] = times / len(light), 0
     if not len(pairs):
         return None
-    looking = sensor.take(pairs[:, 1])
-    middle = np.full((len(pairs), 1, 2), 0.5)
-    seen = fov_points(caster, scene, looking, PixelCones.of(looking), np.arange(len(pairs)), middle, 1)
-    return ScanPairs(lasers.take(pairs[:, 0]), seen, histogram, times)
+    seen_by = pairs[:, 1]
+    # The pixels' sensitivity is counted in `times`.
+    looking = Sensor(sensor.position, sensor.pixels[seen_by], sensor.aperture_radius_m, sensor.finite_aperture)
+    at = looks_at[seen_by, None]
+    seen = fov_points(caster, scene, looking, PixelCones.of(looking), np.arange(len(pairs)), at, 1)
+    # Each pixel's light is recorded by all others, too.
+    times = times * (1 + sensor.crosstalk * (len(sensor.pixels) - 1))
+    late = np.zeros(len(sensor.pixels)) if sensor.delays_s is None else sensor.delays_s / capture.time.width_s
+    return ScanPairs(lasers.take(pairs[:, 0]), seen, histogram, times, late[seen_by])
 
 
-def _representatives(points: Floats, most: int) -> tuple[Ints, Floats]:
-    """Numbers of at most `most` of the points (n, 3), and the number of points for which each of them stands.
+def _sensitivities(sensor: Sensor) -> tuple[Floats, Floats]:
+    """Coordinates (P, 2) of the middle of each pixel's sensitivity over its quadrilateral, and its mean (P,)."""
+    pixels, footprints = len(sensor.pixels), sensor.footprints
+    if footprints is None:
+        return np.full((pixels, 2), 0.5), np.ones(pixels)
+    total = np.maximum(footprints.sum(axis=(1, 2)), np.finfo(np.float64).tiny)
+    v, u = ((np.arange(cells) + 0.5) / cells for cells in footprints.shape[1:])
+    middle = np.stack([np.einsum("prc,c->p", footprints, u), np.einsum("prc,r->p", footprints, v)], axis=1)
+    return middle / total[:, None], footprints.mean(axis=(1, 2))
 
-    The largest group of points is halved across its widest extent until there are enough groups. The point nearest to
-    the middle of a group stands for it.
+
+def _representatives(points: Floats, weights: Floats, most: int) -> tuple[Ints, Floats]:
+    """Numbers of at most `most` of the points (n, 3), and the sum of the weights (n,) > 0 of the points for which
+    each of them stands.
+
+    The group of points with most weight is halved across its widest extent until there are enough groups. The point
+    nearest to the middle of a group stands for it.
     """
     groups = [np.arange(len(points))] if len(points) else []
-    while groups and len(groups) < most:
-        sizes = [len(members) for members in groups]
-        largest = sizes.index(max(sizes))
-        if sizes[largest] < 2:
+    while len(groups) < most:
+        sizes = [float(weights[members].sum()) if len(members) > 1 else 0.0 for members in groups]
+        largest = sizes.index(max(sizes)) if sizes else 0
+        if not sizes or sizes[largest] == 0.0:
             break
         members = groups.pop(largest)
         there = points[members]
         along = int((there.max(axis=0) - there.min(axis=0)).argmax())
         ordered = members[there[:, along].argsort(kind="stable")]
-        groups[largest:largest] = [ordered[: len(ordered) // 2], ordered[len(ordered) // 2 :]]
+        before = np.cumsum(weights[ordered])
+        half = int(np.clip(np.searchsorted(before, before[-1] / 2, side="right"), 1, len(ordered) - 1))
+        groups[largest:largest] = [ordered[:half], ordered[half:]]
     chosen = np.empty(len(groups), np.int64)
     for k, members in enumerate(groups):
-        away = points[members] - points[members].mean(axis=0)
+        away = points[members] - np.average(points[members], axis=0, weights=weights[members])
         chosen[k] = members[np.einsum("nk,nk->n", away, away).argmin()]
-    return chosen, np.array([len(members) for members in groups], np.float64)
+    return chosen, np.array([weights[members].sum() for members in groups], np.float64)
 
 
 GRAZING = 0.02
@@ -144,7 +174,8 @@ def evidence_image(
         )  # fmt: skip
         detections = _unoccluded_detections(
             points, ends, materials.kind, materials.values, scene.attenuation_per_m,
-            capture.time.origin == "source", detections_per_photon[pair] * times, bin_m, first,
+            capture.time.origin == "source", detections_per_photon[pair] * times, bin_m,
+            first - scan_pairs.late_bins[pair],
         )  # fmt: skip
         legs = [(lasers.position[pair], lasers.normal[pair])]
         # A laser point within the footprint lights what the footprint sees: one ray tells for both legs.

@@ -14,6 +14,7 @@ import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Capture, Scene
+from datagen.transport.flood import delayed
 
 ROOM: dict[str, Any] = {**SQUARE_ROOM, "materials": {"relay_wall": {"albedo": 0.8}}}
 SIDE_M, ZONES = 1.2, 4
@@ -73,6 +74,68 @@ def test_a_flood_is_the_mean_of_its_points(scene: Scene) -> None:
     np.testing.assert_allclose(once.overflow[0], points.overflow.mean(axis=0), rtol=1e-12)
     np.testing.assert_array_equal(once.laser_points, points.laser_points)
     assert set(once.parts) == set(points.parts)
+
+
+DELAYS_BINS = np.array([0.0, 3.0, -2.0, 0.25, 4.75, -0.25, -3.6, 260.0, -300.5])
+
+
+def test_a_delay_moves_the_mean_time_of_light_and_loses_none_but_at_the_ends() -> None:
+    """Delays of whole bins and of parts of them, early and late: the mean time is moved by the delay, the energy
+    stays, and no light goes further than into the bins on either side. Beyond the window nothing is left."""
+    bins, pixels = 256, len(DELAYS_BINS)
+    axis = dg.TimeAxis(bins=bins, width_s=2.5e-10)
+    light = np.zeros((1, pixels, bins))
+    light[:, :, 100:130] = np.random.default_rng(0).random((pixels, 30))
+    corners = np.array([(1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1)], float)
+    sensor = dg.Sensor((0, 0, 0), np.tile(corners, (pixels, 1, 1)), delays_s=DELAYS_BINS * axis.width_s)
+    late = delayed(light, sensor, axis)
+    kept = np.abs(DELAYS_BINS) < 100
+    assert not late[:, ~kept].any()
+    energy, mean = late.sum(axis=2)[0], late[0] @ axis.centers_s
+    assert energy[kept] == pytest.approx(light.sum(axis=2)[0, kept], rel=1e-12)
+    moved = (mean / light.sum(axis=2)[0] - light[0] @ axis.centers_s / light.sum(axis=2)[0]) / axis.width_s
+    assert moved[kept] == pytest.approx(DELAYS_BINS[kept], abs=1e-9)
+    for pixel in np.flatnonzero(kept):
+        filled = np.flatnonzero(late[0, pixel])
+        assert filled[0] == 100 + np.floor(DELAYS_BINS[pixel])
+        assert filled[-1] == 129 + np.ceil(DELAYS_BINS[pixel])
+
+
+def test_a_flood_records_the_light_of_each_pixel_late_by_its_delay(scene: Scene) -> None:
+    capture = captured(4, scene)
+    accuracy, delay = dg.Accuracy(samples=32, max_bounces=3, direct=True), np.linspace(-1.3, 2.9, 16)
+    late = replace_sensor(capture, delays_s=delay * capture.time.width_s)
+    plain, moved = (dg.simulate(scene, of, accuracy, seed=3).total[0] for of in (capture, late))
+    centers = capture.time.centers_s / capture.time.width_s
+    shift = moved @ centers / moved.sum(axis=1) - plain @ centers / plain.sum(axis=1)
+    # A little of the light leaves the window.
+    assert moved.sum(axis=1) == pytest.approx(plain.sum(axis=1), rel=1e-3)
+    assert shift == pytest.approx(delay, abs=0.1)
+
+
+def replace_sensor(capture: Capture, **more: Any) -> Capture:
+    sensor = capture.sensor
+    return replace(capture, sensor=dg.Sensor(sensor.position, sensor.pixels, sensor.aperture_radius_m, **more))
+
+
+def test_a_flood_whose_first_point_has_all_light_is_that_point_alone(scene: Scene) -> None:
+    """And one that fades is the sum of its points, each with its share."""
+    capture = captured(4, scene)
+    accuracy = dg.Accuracy(samples=32, max_bounces=4, direct=True)
+
+    def light(laser: dg.Laser, illumination: str = "flood") -> dg.Transient:
+        return dg.simulate(scene, replace(capture, laser=laser, illumination=illumination), accuracy, seed=3)
+
+    place, targets = capture.laser.position, capture.laser.targets
+    points = light(dg.Laser(place, targets), "scan")
+    for shares in (np.eye(16)[0], np.exp(-0.5 * np.arange(16.0) / 3)):
+        flood = light(dg.Laser(place, targets, shares))
+        due = np.einsum("l,lpt->pt", shares / shares.sum(), points.total)
+        np.testing.assert_allclose(flood.total[0], due, rtol=1e-12)
+        np.testing.assert_allclose(flood.overflow[0], shares / shares.sum() @ points.overflow, rtol=1e-12)
+    alone = light(dg.Laser(place, targets[:1]))
+    np.testing.assert_allclose(light(dg.Laser(place, targets, np.eye(16)[0])).components["direct"],
+                               alone.components["direct"], rtol=1e-9)  # fmt: skip
 
 
 def test_standard_error_is_the_spread_of_repetitions(scene: Scene) -> None:

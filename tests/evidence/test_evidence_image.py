@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +59,27 @@ def exhaustive() -> dg.Capture:
     return dg.Capture(dg.Laser(place, grid(2)), sensor, TIME)
 
 
-CAPTURES = {"confocal": confocal(3), "exhaustive": exhaustive(), "many points": confocal(9)}
+def flood(weights: tuple[float, ...] | None = None, points: int = 2, **sensor: Any) -> dg.Capture:
+    """A flood of 2 × 2 laser points, or of the first of these alone, and a sensor of 2 × 2 pixels."""
+    scan = exhaustive()
+    laser = dg.Laser(scan.laser.position, grid(2)[: points**2], weights)
+    pixels = scan.sensor.position, scan.sensor.pixels
+    return dg.Capture(laser, dg.Sensor(*pixels, **sensor), TIME, illumination="flood")
+
+
+PARTLY = np.zeros((4, 2, 2))
+PARTLY[3, 0, 1], PARTLY[0, :, 0], PARTLY[1] = 1.0, 0.5, 0.3
+"""Sensitivities of pixels of which one is sensitive in a quarter, one in a half, one everywhere, and one nowhere."""
+LIT_UNEVENLY = {
+    "an even flood": flood(),
+    "one of four lit": flood((1, 0, 0, 0)),
+    "two of four lit": flood((1, 0, 0, 5)),
+    "fading": flood((0.6, 0.2, 0.15, 0.05)),
+    "sensitive in places": flood((0.6, 0.2, 0.15, 0.05), footprints=PARTLY),
+    "crosstalk": flood((0.6, 0.2, 0.15, 0.05), crosstalk=0.1),
+    "early and late": flood(delays_s=np.array([-2e-9, 0, 0.35e-9, 3e-9])),
+}
+CAPTURES = {"confocal": confocal(3), "exhaustive": exhaustive(), "many points": confocal(9), **LIT_UNEVENLY}
 
 
 def curtain() -> dg.Part:
@@ -70,7 +92,8 @@ def curtain() -> dg.Part:
 def lit(scan: str, hung: bool) -> tuple[dg.Scene, dg.Transient]:
     """The room, with the curtain or without, and its transient."""
     scene = room(curtain()) if hung else room()
-    return scene, dg.simulate(scene, CAPTURES[scan], dg.Accuracy(target=0.002), seed=0)
+    target = 0.01 if scan in LIT_UNEVENLY else 0.002
+    return scene, dg.simulate(scene, CAPTURES[scan], dg.Accuracy(target=target, max_bounces=3), seed=0)
 
 
 def image_and_truth(scan: str, spad: dg.Spad, hung: bool = False) -> dict[str, tuple[float, float]]:
@@ -106,7 +129,11 @@ def test_a_curtain_takes_the_evidence_of_what_stands_behind_it() -> None:
 
 @pytest.mark.parametrize(
     ("scan", "name", "share"),
-    [("many points", "ideal", 0.05), *((scan, name, 0.02) for scan in ("confocal", "exhaustive") for name in SPADS)],
+    [
+        ("many points", "ideal", 0.05),
+        *((scan, name, 0.02) for scan in ("confocal", "exhaustive") for name in SPADS),
+        *((scan, "gated", 0.03) for scan in LIT_UNEVENLY),
+    ],
 )
 def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(scan: str, name: str, share: float) -> None:
     """Plates of 16 × 16 pixels whose edges are those of pixels: the midpoint rule. A few pairs stand for a large
@@ -114,6 +141,45 @@ def test_pixels_of_an_object_in_view_add_up_to_its_own_detections(scan: str, nam
     assert len(CAPTURES["many points"].laser.targets) > 4 * SCAN_PAIRS
     for found, truth in image_and_truth(scan, SPADS[name]).values():
         assert found == pytest.approx(truth, rel=share)
+
+
+def test_laser_points_without_light_do_not_count() -> None:
+    """A flood that gives all of its light to its first laser point has the image of one that has only this point, and
+    pixels that sense nothing have no part in it."""
+    image = {}
+    blind = np.ones((4, 1, 1))
+    blind[1:] = 0.0
+    captures = {
+        "one of four": flood((1, 0, 0, 0), footprints=blind),
+        "alone": flood(points=1, footprints=blind),
+        "first pixel": flood(points=1),
+    }
+    captures["first pixel"] = captures["first pixel"].excerpt(np.array([0]), np.array([0]))
+    scene = room()
+    caster, surface = Raycaster(scene), hidden_surface(scene, LABELS.rows, LABELS.columns)
+    for name, capture in captures.items():
+        pairs = representative_pairs(caster, scene, capture)
+        assert pairs is not None
+        image[name] = evidence_image(caster, surface, capture, pairs, np.ones((len(pairs.times), TIME.bins)))
+    assert image["alone"].any()
+    for name in captures:
+        np.testing.assert_allclose(image[name], image["alone"], rtol=1e-6)
+
+
+@pytest.mark.parametrize("even", [False, True])
+def test_the_heavier_side_of_a_spread_beam_has_the_representatives(even: bool) -> None:
+    """Of the light of a beam that fades to one side a representative stands for equal shares; of an even beam for
+    equally many points."""
+    capture = flood()
+    targets = np.column_stack([np.zeros(64), np.linspace(-1, 1, 64), np.zeros(64)])
+    weights = None if even else np.exp(-2.0 * np.arange(64) / 16)
+    wide = replace(capture, laser=dg.Laser(capture.laser.position, targets, weights))
+    scene = room()
+    pairs = representative_pairs(Raycaster(scene), scene, wide)
+    assert pairs is not None
+    of_light = pairs.times.reshape(-1, 4)
+    assert of_light.sum() == pytest.approx(4.0)
+    assert of_light.max() <= (1.0 if even else 1.7) * of_light.min()
 
 
 def test_without_a_laser_point_there_is_no_evidence() -> None:
