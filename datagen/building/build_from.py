@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from datagen.building.build import BuildResult, build
-from datagen.building.input_check import parts_in_one_place
+from datagen.building.input_check import doubtful_scenes, parts_in_one_place
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning
 from datagen.labels.boxes import classes_in
@@ -79,7 +79,8 @@ def build_from(
     if not given:
         raise InputError("scenes: none given; a dataset needs at least one")
     config = _config(given, fields, seed, dict(settings or {}))
-    for warning in parts_in_one_place((item.scene, item.capture) for item in given):
+    pairs = [(item.scene, item.capture) for item in given]
+    for warning in (*parts_in_one_place(pairs), *doubtful_scenes(pairs, config.transport.direct)):
         warn(warning, InputWarning, stacklevel=2)
     with tempfile.TemporaryDirectory(prefix="datagen-") as folder:
         # One file a scene: a worker reads only the scenes that it makes.

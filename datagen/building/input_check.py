@@ -21,6 +21,8 @@ from datagen.records import Capture, Scene
 from datagen.records.label_fields import LABEL_FIELDS
 from datagen.scene import check_scene_config, meshes_named
 from datagen.transport.coincidence import set_apart
+from datagen.transport.doubts import doubts
+from datagen.transport.rays import Raycaster
 from datagen.units import path_from_time
 
 SCENES_TRIED = 16
@@ -38,7 +40,8 @@ def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
     detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes
-    with holes, bent faces of meshes, and zones whose light arrives after the time axis ends.
+    with holes, bent faces of meshes, zones whose light arrives after the time axis ends, and scenes that are too
+    large for their light or shut it in.
     """
     check_scene_config(config.scene)
     if any((of.is_image or of.is_volume) and of.label in config.store.fields for of in LABEL_FIELDS):
@@ -51,7 +54,8 @@ def check_inputs(config: DatasetConfig) -> None:
     dark = np.zeros((1, *capture.shape[1:]))
     tolerance, approximate = config.detector.tolerance, config.detector.approximate
     choose_sampler(dark, capture.time, spad, exposure, tolerance=tolerance, approximate=approximate)
-    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried)):
+    doubtful = doubtful_scenes(tried, config.transport.direct)
+    for warning in (*_most_likely_not_meant(config), *_too_late(config, tried), *doubtful):
         warn(warning, InputWarning, stacklevel=3)
 
 
@@ -87,6 +91,15 @@ def parts_in_one_place(scenes: Iterable[tuple[Scene, Capture]]) -> Iterator[str]
         warning = set_apart(scene, capture).warning
         if warning:
             yield f"scene {index}: {warning}"
+            return
+
+
+def doubtful_scenes(scenes: Iterable[tuple[Scene, Capture]], direct: bool) -> Iterator[str]:
+    """A warning if the light of one of the first `SCENES_TRIED` scenes is most likely not what is meant. direct :
+    whether light of one and two bounces counts."""
+    for index, (scene, capture) in enumerate(islice(scenes, SCENES_TRIED)):
+        for doubt in doubts(scene, capture, Raycaster(scene), direct):
+            yield f"scene {index}: {doubt}"
             return
 
 

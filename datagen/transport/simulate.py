@@ -23,6 +23,7 @@ from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.coincidence import set_apart
 from datagen.transport.cuts import PrimaryLight, primary_by_cuts
+from datagen.transport.doubts import doubts, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
 from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
@@ -69,7 +70,8 @@ def simulate(
     InputWarning : no light falls into the time axis, though some arrives outside it: mostly a scene in millimetres; a
         laser ray meets nothing, or, where there is a relay wall and `accuracy.direct` is off, an object; surfaces of
         two parts coincide where light gets to, and one is taken to lie on the other
-        (`transport/coincidence.py`).
+        (`transport/coincidence.py`); a part so large that rays are coarse beside the legs of the light, a device
+        inside of a wall, or nothing to light before the laser points or what pixels see (`transport/doubts.py`).
 
     Examples
     --------
@@ -93,11 +95,10 @@ def simulate(
     apart = set_apart(scene, capture)
     if apart.warning:
         warn(f"simulate: {apart.warning}", InputWarning, stacklevel=2)
-    scene = apart.scene
-    caster = Raycaster(scene)
+    scene, caster = apart.scene, apart.caster
     astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
-    if astray:
-        warn(f"simulate: {astray}", InputWarning, stacklevel=2)
+    for doubt in (*([astray] if astray else []), *doubts(scene, capture, caster, accuracy.direct)):
+        warn(f"simulate: {doubt}", InputWarning, stacklevel=2)
     found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     if found.overflow.any() and not found.total.any():
         start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
@@ -240,7 +241,12 @@ def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -
         by_paths = sources["primary"]
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
-    relative = error / (l2_norm(sum(light.values(), start=np.zeros(shape))) or 1.0)
+    norm = l2_norm(sum(light.values(), start=np.zeros(shape)))
+    relative = error / (norm or 1.0)
+    if norm > 0:
+        # Replicates agree in what no ray can know.
+        floor = known_to(problem.caster, problem.points, problem.capture.time)
+        relative, part_errors = max(relative, floor), {name: max(own, floor) for name, own in part_errors.items()}
     met = relative <= MET * target and all(own <= MET * problem.accuracy.each_part for own in part_errors.values())
     return Estimate(
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
