@@ -14,6 +14,7 @@ from rooms import rectangle
 
 import datagen as dg
 from datagen.config import config_from_mapping
+from datagen.evidence.presence import presence_against
 from datagen.pipeline import simulate_sample
 
 IDEAL = dg.Spad(pde=0.3, mode="ideal", dark_count_rate_hz=1e4)
@@ -48,6 +49,25 @@ def capture() -> dg.Capture:
 
 def presence(scene: dg.Scene, accuracy: dg.Accuracy = COARSE, exposure: dg.Exposure = EXPOSURE) -> dg.Presence:
     return dg.presence_evidence(scene, capture(), accuracy, IDEAL, exposure, ["plate"], seed=3)["plate"]
+
+
+def test_the_floor_is_made_of_the_errors_of_both_simulations() -> None:
+    """Squares of errors add up: that of the scene with the object, and that of the scene without it."""
+    light, rng = np.full((2, 3, 5), 1e-9), np.random.default_rng(0)
+    errors = rng.random((2, *light.shape)) * 1e-10 * np.array([1.0, 3.0])[:, None, None, None]
+    time = dg.TimeAxis(bins=5, width_s=1e-9)
+
+    def floor(with_it: np.ndarray, without: np.ndarray) -> float:
+        whole, rest = (
+            dg.Transient(time, {"primary": of}, {}, error, 0 * of[..., 0], np.zeros((2, 3)))
+            for of, error in ((light, with_it), (0.9 * light, without))
+        )
+        return presence_against(whole, [("plate", rest)], IDEAL, EXPOSURE)["plate"].floor
+
+    both, first, second = floor(*errors), floor(errors[0], 0 * light), floor(0 * light, errors[1])
+    assert 0 < 2 * first < second
+    assert both == pytest.approx(np.hypot(first, second), rel=1e-9)
+    assert floor(errors[0], errors[0]) == pytest.approx(np.sqrt(2) * first, rel=1e-9)
 
 
 @cache

@@ -21,7 +21,7 @@ from point_target import LIGHT, SCANS, config_of, hidden_point
 import datagen as dg
 from datagen.errors import InputError
 from datagen.formats import export
-from datagen.formats.recording import WallFrame, recording_of
+from datagen.formats.recording import Recording, WallFrame, recording_of
 from datagen.loader import TransientDataset
 from datagen.scene import generate_scene
 from datagen.store import verify
@@ -41,6 +41,20 @@ def tal_content(path: Path) -> dict[str, Any]:
     h5py = pytest.importorskip("h5py")
     with h5py.File(path) as file:
         return {name: of[()] for name, of in file.items()}
+
+
+@pytest.mark.parametrize(
+    ("bins", "lead", "due"),
+    [(1, 0, 1), (2, 0, 2), (3, 0, 4), (64, 0, 64), (65, 0, 128), (60, 4, 64), (64, 1, 128), (1024, 0, 1024)],
+)
+def test_time_is_padded_to_the_next_power_of_two_and_no_further(bins: int, lead: int, due: int) -> None:
+    values, point, place = np.arange(1.0, bins + 1)[None, None], np.zeros((1, 3)), np.zeros(3)
+    time = dg.TimeAxis(bins=bins, width_s=5e-11, start_s=lead * 5e-11, origin="wall")
+    frame = WallFrame(place, np.eye(3))
+    padded = Recording(values, True, point, point, point, point, time, place, place, frame).from_time_zero()
+    assert padded.values.shape == (1, 1, due) and padded.time.bins == due and padded.time.start_s == 0.0
+    assert np.array_equal(padded.values[0, 0, lead : lead + bins], values[0, 0])
+    assert padded.values.sum() == values.sum()
 
 
 @pytest.mark.parametrize(

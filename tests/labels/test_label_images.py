@@ -63,6 +63,26 @@ def test_tilted_plane_is_exact_at_every_pixel_centre() -> None:
     )
 
 
+def test_structure_that_begins_in_the_plane_of_the_wall_is_seen_as_an_object_there_is() -> None:
+    """A ramp from the wall into the room, by its depth at every pixel centre; structure wholly in the wall's plane is
+    the rest of the wall, which is left out."""
+    corners = [(DISTANCE_M, 4.0, 0.5), (DISTANCE_M, 1.0, 0.5), (4.0, 1.0, 2.0), (4.0, 4.0, 2.0)]
+    ramp = trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
+    rest = rectangle_mesh(Rectangle.of((DISTANCE_M, 2.5, 1.0), (0, -1.5, 0), (0, 0, 1.0)))
+    seen = {
+        role: make_labels(CONFIG, free_space(Part("ramp", ramp, Lambertian(0.5), role)), IMAGE_FIELDS)
+        for role in ("structure", "object")
+    }
+    z = pixel_centers()[1]
+    covered = (z > 0.5) & (z < 2.0)
+    due = np.where(covered, (DISTANCE_M - 4.0) * (z - 0.5) / 1.5, 0.0)
+    for labels in seen.values():
+        np.testing.assert_allclose(labels["depth"], due, rtol=1e-5, atol=1e-9)
+        np.testing.assert_array_equal(labels["part_id"], np.where(covered, 1, -1))
+    flush = make_labels(CONFIG, free_space(Part("rest", rest, Lambertian(0.5), "structure")), IMAGE_FIELDS)
+    assert not flush["depth"].any() and (flush["part_id"] == -1).all()
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_pixels_lie_over_those_of_a_sensor_grid(side: int) -> None:
     scene = l_corridor(side)

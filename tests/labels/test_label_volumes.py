@@ -171,6 +171,38 @@ def test_small_holes_are_bridged_and_large_ones_are_not() -> None:
     assert (make_labels(CONFIG, scene_of(bowl), ("sdf",))["sdf"] >= 0).all()
 
 
+@pytest.mark.parametrize(("share", "closed"), [(0.03, True), (0.07, False), (0.1, False), (0.14, False)])
+def test_a_ball_whose_hole_is_more_than_a_twentieth_is_open(share: float, closed: bool) -> None:
+    """A cap that is cut off a ball leaves a hole of (1 − cos θ)/2 of what remains."""
+    whole = ball(subdivisions=5)
+    heights = (whole.triangles_center[:, 2] - 1.2) / 0.8
+    open_ball = whole.triangles[heights < 1 - 2 * share]
+    (found,) = connected_surfaces(open_ball)
+    assert found.closed is closed
+    lid = trimesh.triangles.area(found.lid).sum() if closed else share * trimesh.triangles.area(open_ball).sum()
+    assert lid == pytest.approx(share * trimesh.triangles.area(open_ball).sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_plate_thicker_than_the_thinnest_side_of_a_voxel_is_exact(axis: int) -> None:
+    """Voxels of unequal sides: a plate that no side of a voxel spans is a solid like any other, and one that even the
+    thinnest may pass is where it touches."""
+    voxels = [8, 8, 8]
+    # Voxels count along (depth, row, column), which here are the axes x, z, y.
+    along = (0, 2, 1)[axis]
+    voxels[axis] = 60
+    config, side = LabelsConfig(voxels=tuple(voxels)), (BOUNDS[1] - BOUNDS[0])[along] / 60
+    size, center = np.array([1.7, 1.7, 1.7]), np.array([4.37, 2.41, 1.13])
+    for thickness, exact in ((1.6 * side, True), (0.6 * side, False)):
+        size[along] = thickness
+        scene = scene_of(box_mesh(tuple(size), tuple(center)))
+        grid = VoxelGrid.of(scene, config.voxels)
+        inside = box_distance(grid.frame.to_world(grid.centers), size, center) < 0
+        occupied = make_labels(config, scene, ("occupancy",))["occupancy"]
+        assert np.array_equal(occupied, inside) is exact
+        assert (occupied >= inside).all() and occupied.any()
+
+
 def test_labels_are_the_same_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of surfaces in one place, too: a second floor lies on the floor."""
     floor = Rectangle.of((4.5, 2.5, 0.0), (1.5, 0, 0), (0, 1.5, 0))

@@ -16,6 +16,7 @@ from datagen.config import SceneConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.scene import check_scene_config, generate_scene
 from scene_library.objects import CLASSES, GROUPS, build
+from scene_library.placement import FreeSpace, Occupied
 from scene_library.plates import union_plate
 from scene_library.polygons import contains, rotation
 from scene_library.solids import Solid, regular_polygon
@@ -122,6 +123,28 @@ def test_wall_placement_puts_the_back_to_a_wall(kind: str) -> None:
         assert crossing_counts(walls, start[None], (start + 0.0301 * back)[None]).any()
         assert not crossing_counts(walls, start[None], (start + 0.0299 * back)[None]).any()
         assert_room_laws(scene, np.random.default_rng(index), spec.clearance_m)
+
+
+@pytest.mark.parametrize("hanging_first", [True, False])
+@pytest.mark.parametrize(("gap_m", "free"), [(0.11, True), (0.09, False), (-0.5, False)])
+def test_an_object_may_stand_under_a_hanging_one_that_is_clear_of_it(
+    hanging_first: bool, gap_m: float, free: bool
+) -> None:
+    """Whichever of the two is placed first; beside each other they need the same clearance."""
+    floor = np.array([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])
+    square = np.array([(1.5, 1.5), (2.5, 1.5), (2.5, 2.5), (1.5, 2.5)])
+    walls = np.stack([floor, np.roll(floor, -1, axis=0)], axis=1)
+    lamp, box = Occupied(square, 1.5, 2.5), Occupied(square, 0.0, 1.5 - gap_m)
+    first, second = (lamp, box) if hanging_first else (box, lamp)
+
+    def obstacle(one: Occupied) -> str | None:
+        space = FreeSpace(floor, floor[[0, 2]], walls, 2.5, np.zeros((0, 3, 2)), 0.1, [first])
+        return space.obstacle(one)
+
+    assert obstacle(second) == (None if free else "object")
+    for aside, clear in ((1.05, False), (1.15, True)):
+        beside = Occupied(square + np.array([aside, 0.0]), second.bottom_m, second.top_m)
+        assert obstacle(beside) == (None if free or clear else "object")
 
 
 def test_round_pillars_are_round() -> None:

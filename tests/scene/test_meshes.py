@@ -94,6 +94,39 @@ def test_up_and_front_turn_the_file_and_never_mirror_it(tmp_path: Path, up: str,
         assert abs(np.ptp(found) - np.ptp(along)) < 1e-6
 
 
+@pytest.mark.parametrize("front", ["x", "-x", "y", "-y", "z", "-z"])
+def test_every_front_is_turned_to_where_fronts_are(tmp_path: Path, front: str) -> None:
+    """With either upward axis across it: a cone that points to the front points to −y."""
+    along, sign = "xyz".index(front[-1]), -1.0 if front.startswith("-") else 1.0
+    for up in (axis for axis in ("x", "-x", "y", "-y", "z", "-z") if axis[-1] != front[-1]):
+        block, tip = trimesh.creation.box(extents=[1, 1, 1]), np.zeros(3)
+        tip[along] = 2.0 * sign
+        corners = block.vertices.copy()
+        forward = block.vertices[:, along] * sign > 0
+        # The side to the front is drawn together to a tip.
+        corners[forward] = tip + 1e-3 * block.vertices[forward]
+        trimesh.Trimesh(corners, block.faces, process=False).export(tmp_path / "pointed.ply")
+        unit = unit_mesh(tmp_path / "pointed.ply", MeshOptions(up=up, front=front))
+        assert unit.vertices[:, 1].argmin() in np.flatnonzero(abs(unit.vertices[:, 0]) < 0.01)
+        assert unit.vertices[:, 1].min() == pytest.approx(-1.25, abs=1e-2)
+
+
+@pytest.mark.parametrize(("up", "about"), [("z", (1, 0, 0)), ("y", (1, 0, 0)), ("x", (0, 1, 0))])
+def test_a_file_upside_down_whose_front_is_not_stated_is_the_same_object(
+    tmp_path: Path, up: str, about: tuple[int, int, int]
+) -> None:
+    """A half-turn about an axis across `up` and its front takes the one default to the other."""
+    made = []
+    for axis, turn in ((up, 0.0), (f"-{up}", np.pi)):
+        mesh = lump()
+        mesh.apply_transform(trimesh.transformations.rotation_matrix(turn, about))
+        mesh.export(tmp_path / f"{axis}.ply")
+        made.append(unit_mesh(tmp_path / f"{axis}.ply", MeshOptions(up=axis)).vertices)
+    # The file's vertices are merged in another order.
+    nearest, _ = cKDTree(made[1]).query(made[0])
+    assert len(made[0]) == len(made[1]) and nearest.max() < 1e-5
+
+
 def test_a_front_along_the_upward_axis_is_refused(tmp_path: Path) -> None:
     lump().export(tmp_path / "lump.ply")
     with pytest.raises(InputError, match=r"contents\[0\].*: front = '-y': must lie across up"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -12,6 +13,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -30,8 +32,11 @@ from limits import limited
 
 from datagen.building import shard_job
 from datagen.building.build import parse_shards
+from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
-from datagen.store import prepare, running_path, verify
+from datagen.records import Sample
+from datagen.store import committed, prepare, running_path, verify
+from datagen.store.files import PARTIAL, clear_partials, write_atomically
 
 
 def content(root: Path) -> dict[str, bytes]:
@@ -177,6 +182,64 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
 
 
 @one_worker_here()
+def test_half_written_files_go_unless_their_writer_is_at_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A killed build's file has no lock any more. Where a file system has no locks nobody can tell, and all stay."""
+    left, at_work, kept = (tmp_path / name for name in (f"left{PARTIAL}", f"at_work{PARTIAL}", "shard"))
+    for path in (left, at_work, kept):
+        path.write_bytes(b"half")
+    with at_work.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        clear_partials(tmp_path)
+        assert sorted(path.name for path in tmp_path.iterdir()) == [at_work.name, kept.name]
+    clear_partials(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [kept.name]
+
+    def no_locks(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    left.write_bytes(b"half")
+    monkeypatch.setattr("datagen.locks.fcntl.flock", no_locks)
+    clear_partials(tmp_path)
+    assert left.exists()
+    write_atomically(tmp_path / "whole", b"all of it")
+    assert (tmp_path / "whole").read_bytes() == b"all of it"
+
+
+def test_a_failed_scene_whose_result_was_lost_is_not_made_again(tmp_path: Path) -> None:
+    """The job that committed it is handed out anew, because its result got lost: it returns what the record says. A
+    job of a later build tries the failed scene again, and makes no other."""
+    made: list[int] = []
+
+    def third_fails(config: DatasetConfig, index: int) -> Sample:
+        made.append(index)
+        if index == 2 and len(made) < 8:
+            raise InputError("no room for it")
+        return fake_sample(config, index)
+
+    config = small_config()
+    manifest = prepare(tmp_path / "set", config)
+    recipe = shard_job.Recipe(tmp_path / "set", config, manifest, third_fails)
+    before = time.time()
+    failures = shard_job.run_shard(recipe, 0, before)
+    assert failures == {2: "no room for it"} and made == [0, 1, 2, 3]
+    assert shard_job.run_shard(recipe, 0, before) == failures
+    assert made == [0, 1, 2, 3]
+    assert shard_job.run_shard(recipe, 0, before + 3600) == failures
+    assert made == [0, 1, 2, 3, 2]
+    made.extend([9, 9, 9])
+    assert shard_job.run_shard(recipe, 0, before + 3600) == {}
+    assert made[-1] == 2
+    whole = prepare(tmp_path / "whole", config)
+    shard_job.run_shard(
+        replace(recipe, root=tmp_path / "whole", manifest=whole, sample_function=fake_sample), 0, before
+    )
+    digests = [[scene.digests for scene in next(iter(committed(tmp_path / name, whole, [0]))).scenes]
+               for name in ("set", "whole")]  # fmt: skip
+    assert digests[0] == digests[1]
+
+
 def test_files_are_on_the_disk_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Power may fail at any moment: before a shard's record has its name, it and the shard's files are synced."""
     synced: set[int] = set()

@@ -158,6 +158,43 @@ def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     refused("scene 1: the checksum does not match", check=False)
 
 
+def test_a_table_of_blocks_that_points_elsewhere_is_refused_though_its_checksum_is_right(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a hostile file, or a faulty writer, would have it: before the blocks, into the table itself, and past the
+    end. Nothing is decoded that no block holds."""
+    monkeypatch.setattr("datagen.store.reader.MEMORY_BYTES", 0)
+    root = write_dataset(config_of("exhaustive", 8, 16, (2, 1), 1000), tmp_path / "set", fake_sample)
+    file, manifest = root / "data.zarr/transient/c/0/0/0/0", read_manifest(root)
+    sound, part = file.read_bytes(), Part((np.arange(70, 75), np.arange(2)), slice(0, 9))
+    offset, size = np.frombuffer(sound[-4 - 32 :][:32], "<u8").reshape(2, 2)[0].tolist()
+    frame = sound[offset : offset + size - 4]
+    decoded, block, stored = np.frombuffer(frame[4:16], "<u4").tolist()
+    count = -(-decoded // block)
+    assert count > 2 and stored == len(frame)
+    reader = DatasetReader(root, manifest, ["transient"], check=False)
+
+    def read() -> np.ndarray | str:
+        try:
+            return reader.read("transient", [0], part=part)
+        except CheckError as error:
+            return str(error)
+
+    due = read()
+    assert isinstance(due, np.ndarray)
+    for at in (-1, 0, 15, 16 + 4 * count - 1, stored, stored + 1, 2**31 - 1, -(2**31)):
+        for one in (0, count // 2, count - 1):
+            table = np.frombuffer(frame, "<i4", count, 16).copy()
+            table[one] = at
+            body = frame[:16] + table.tobytes() + frame[16 + 4 * count :]
+            changed = sound[:offset] + body + google_crc32c.value(body).to_bytes(4, "little")
+            file.write_bytes(changed + sound[offset + size :])
+            said = read()
+            assert isinstance(said, str) and "blocks outside of it" in said
+    file.write_bytes(sound)
+    assert np.array_equal(read(), due)
+
+
 def test_wrong_crops_are_refused(one: Path, tmp_path: Path) -> None:
     config = noisy_config().model_dump(mode="json")
     config["capture"]["scan"] = {"kind": "points", "points_m": [[0.1 * k, 0.0] for k in range(4)]}
