@@ -181,7 +181,6 @@ def test_two_writers_never_meet_in_one_shard(tmp_path: Path, monkeypatch: pytest
     assert (root / "build/shard-000000.json").read_bytes() == made, "a shard made meanwhile is not made again"
 
 
-@one_worker_here()
 def test_half_written_files_go_unless_their_writer_is_at_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,6 +239,7 @@ def test_a_failed_scene_whose_result_was_lost_is_not_made_again(tmp_path: Path) 
     assert digests[0] == digests[1]
 
 
+@one_worker_here()
 def test_files_are_on_the_disk_before_their_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Power may fail at any moment: before a shard's record has its name, it and the shard's files are synced."""
     synced: set[int] = set()
