@@ -128,15 +128,17 @@ def few_samples(accuracy: Accuracy, samples: int) -> Accuracy:
 def trial_channels(capture: Capture, points: LaserPoints) -> tuple[Ints, Ints]:
     """Numbers, ascending, of at most `LASERS` laser points and `PIXELS` pixels of a capture.
 
-    Laser points whose ray meets nothing are chosen only if there are no others. In confocal pairing the numbers of
-    the pixels have no meaning, as each laser point has its own pixel.
+    Laser points whose ray meets nothing, or that a flood gives no light, are chosen only if there are no others. In
+    confocal pairing the numbers of the pixels have no meaning, as each laser point has its own pixel.
     """
     channels = max(VALUES // (capture.shape[2] * COMPONENTS), 1)
     count = min(capture.shape[1], PIXELS, channels)
-    there = np.flatnonzero(points.part >= 0)
+    has_light = capture.laser.shares > 0 if capture.illumination == "flood" else np.ones(len(points.part), np.bool_)
+    there = np.flatnonzero((points.part >= 0) & has_light)
     place = points.position[there]
     if not len(there):
-        place, there = np.asarray(capture.laser.targets), np.arange(len(points.part))
+        there = np.flatnonzero(has_light)
+        place = np.asarray(capture.laser.targets)[there]
     lit = there[_spread_out(place, min(LASERS, max(channels // count, 1)))]
     if capture.pairing == "confocal":
         return lit, np.arange(count)

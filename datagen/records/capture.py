@@ -149,11 +149,11 @@ class Laser:
         return cls(position, cells.mean(axis=1), weights, cells)
 
     def take(self, lasers: Ints) -> Laser:
-        """The laser with some of its targets, by number, and their weights and cells."""
-        return Laser(
-            self.position, self.targets[lasers], None if self.weights is None else self.weights[lasers],
-            None if self.cells is None else self.cells[lasers],
-        )  # fmt: skip
+        """The laser with some of its targets, by number, and their weights and cells; equal shares where all of these
+        weights are 0, which say nothing about a scan."""
+        weights = None if self.weights is None else self.weights[lasers]
+        weights = None if weights is None or not weights.any() else weights
+        return Laser(self.position, self.targets[lasers], weights, None if self.cells is None else self.cells[lasers])
 
     @property
     def shares(self) -> Floats:

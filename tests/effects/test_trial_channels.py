@@ -3,6 +3,8 @@ scans, whatever pairs of laser points and pixels have the effect."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -13,8 +15,11 @@ from datagen.config import load_config
 from datagen.design.light import transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.effects import EffectDecisions, decide_transport_effects
+from datagen.effects.trial import run_trial, trial_channels
 from datagen.records import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, TimeAxis
 from datagen.transport import simulate
+from datagen.transport.laser_points import LaserPoints
+from datagen.transport.rays import Raycaster
 
 DEVICE = (2.5, 0.05, 1.25)
 AXIS = TimeAxis(96, 0.4e-9, 0.0, "source")
@@ -122,3 +127,18 @@ def test_four_bounces_at_one_edge_of_the_scan_are_seen(how: str) -> None:
     decision = plan["secondary_bounce"]
     assert decision.kind == "trial" and decision.simulated
     assert decision.estimate is not None and decision.estimate > share / 2
+
+
+def test_a_trial_run_of_a_flood_looks_at_the_points_that_have_its_light() -> None:
+    """One of 256 has all of it. Of a scan weights say nothing."""
+    flood, scene = CAPTURES["flood of zones, as sensors have"][0], furnished_box()
+    caster = Raycaster(scene)
+    for lit in (0, 200):
+        laser = Laser(DEVICE, flood.laser.targets, np.eye(256)[lit])
+        capture, points = replace(flood, laser=laser), LaserPoints.of(caster, scene, laser)
+        assert trial_channels(capture, points)[0].tolist() == [lit]
+        assert len(trial_channels(replace(capture, illumination="scan"), points)[0]) > 1
+        for illumination in ("flood", "scan"):
+            given = replace(capture, illumination=illumination)
+            trial = run_trial(scene, given, Accuracy(samples=64, max_bounces=4), 0, caster, points)
+            assert trial.share("secondary") is not None
