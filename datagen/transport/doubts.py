@@ -41,7 +41,7 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
     caster : of the scene's triangles. direct : whether light of one and two bounces counts.
     """
     points = LaserPoints.of(caster, scene, capture.laser)
-    leg = common_leg(caster, points, capture.time)
+    leg = common_leg(scene, caster, points, capture.time)
     if caster.offset_m > COARSE * leg > 0:
         yield _too_large(scene, caster, leg)
     places = {"Laser.position": (capture.laser.position, capture.laser.targets),
@@ -75,15 +75,17 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
             )
 
 
-def known_to(caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
-    """The relative error of light below which rays cannot know it: their offset over a common leg; 0 without legs."""
-    leg = common_leg(caster, points, time)
-    return caster.offset_m / leg if leg > 0 else 0.0
+def known_to(scene: Scene, caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
+    """The relative error of light below which rays cannot know it: their offset over a common leg, and over the scene
+    at least."""
+    leg = common_leg(scene, caster, points, time)
+    return max(SURFACE_OFFSET, caster.offset_m / leg if leg > 0 else 0.0)
 
 
-def common_leg(caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
+def common_leg(scene: Scene, caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
     """Length of the way, metres, that light goes from the laser points to the next surface, the upper quartile of
-    those that may end in the time window; 0 if there are none."""
+    those that may end in the time window. If none of a few rays meets such a surface, the distance to the middle of
+    the nearest part that the laser does not strike; 0 without any."""
     lit = np.flatnonzero(points.part >= 0)
     lit = lit[:: -(-len(lit) // LOOKED_FROM)] if len(lit) else lit
     at, normal = np.repeat(points.position[lit], LEGS, axis=0), np.repeat(points.normal[lit], LEGS, axis=0)
@@ -92,7 +94,11 @@ def common_leg(caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
     window_m = float(path_from_time(max(time.stop_s, 0.0)))
     out = np.repeat(points.leg[lit], LEGS) if time.origin == "source" else 0.0
     within = leg[hits.valid & (leg + out < window_m)]
-    return float(np.quantile(within, QUARTILE)) if len(within) else 0.0
+    if len(within):
+        return float(np.quantile(within, QUARTILE))
+    others = [part for part in np.unique(scene.face_part) if part not in points.part]
+    middles = [scene.corners[scene.face_part == part].mean(axis=(0, 1)) for part in others if len(lit)]
+    return min((float(np.linalg.norm(middle - points.position[lit[0]])) for middle in middles), default=0.0)
 
 
 def _around(normal: Floats) -> Floats:

@@ -245,7 +245,7 @@ def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -
     relative = error / (norm or 1.0)
     if norm > 0:
         # Replicates agree in what no ray can know.
-        floor = known_to(problem.caster, problem.points, problem.capture.time)
+        floor = known_to(problem.scene, problem.caster, problem.points, problem.capture.time)
         relative, part_errors = max(relative, floor), {name: max(own, floor) for name, own in part_errors.items()}
     met = relative <= MET * target and all(own <= MET * problem.accuracy.each_part for own in part_errors.values())
     return Estimate(

@@ -87,6 +87,18 @@ def test_whatever_stretches_a_scene_is_named_at_every_scale_and_place(
     assert len(wide) == 1 and "'ground'" in wide[0]
 
 
+@pytest.mark.parametrize("half_m", [1e-3, 0.2])
+def test_no_claim_is_below_what_rays_of_single_precision_know(half_m: float) -> None:
+    """A small patch before the wall, alone: replicates agree in all digits but a few. With a bird far away a claim
+    says what that costs, and a line does."""
+    patch = dg.Part("patch", rectangle((0, 1.2, 0.8), (half_m, 0, 0), (0, 0, half_m)), dg.Lambertian(0.6))
+    found, said = simulated(dg.Scene.from_parts([WALL, patch]), scan())
+    assert not said and found.total.any()
+    assert found.relative_error >= 1e-6 and min(found.part_errors.values()) >= 1e-6
+    found, said = simulated(dg.Scene.from_parts([WALL, patch, bird(1e5)]), scan())
+    assert "m apart" in said[0] and found.relative_error >= 0.05
+
+
 def test_one_mesh_of_everything_is_no_excuse() -> None:
     """A bench and its ground in one part: no part is small."""
     everything = trimesh.util.concatenate([WALL.mesh, BALL.mesh, ground(1e5).mesh])
