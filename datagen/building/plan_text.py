@@ -17,7 +17,7 @@ from datagen.store.card import readable
 from datagen.store.columns import Columns
 from datagen.store.environment import cores, made_with
 from datagen.store.files import json_bytes, write_atomically
-from datagen.store.info import effect_lines
+from datagen.store.info import effect_lines, heading
 from datagen.store.summaries import effects_of, evidence_lines
 
 
@@ -43,8 +43,13 @@ def plan(
 
 def plan_text(config: DatasetConfig, found: Plan) -> str:
     """The plan as text: what is configured, a scene's cost and what it shows, the cost of the whole build."""
-    heading = f"{config.name}: {' '.join(config.description.split())}".rstrip(": ")
-    blocks = [[heading], _configured(config), _one_scene(config, found), _whole_build(found), _fields(config, found)]
+    blocks = [
+        heading(config.name, config.description),
+        _configured(config),
+        _one_scene(config, found),
+        _whole_build(found),
+        _fields(config, found),
+    ]
     return "\n\n".join("\n".join(map(as_line, block)) for block in blocks)
 
 

@@ -48,7 +48,7 @@ def _text(dataset: Description, growth: str) -> str:
     manifest = dataset.manifest
     failures, evidence = len(dataset.failures), [f"  {line}" for line in dataset.evidence()]
     sections = [
-        [f"{manifest.config['name']}: {' '.join(manifest.config['description'].split())}".rstrip(": ")],
+        heading(manifest.config["name"], manifest.config["description"]),
         [*_origin(dataset), *([f"unfinished   {growth}"] if growth else [])],
         _fields(dataset),
         [place] if (place := dataset.label_place()) else [],
@@ -61,6 +61,12 @@ def _text(dataset: Description, growth: str) -> str:
         else [],
     ]
     return "\n\n".join("\n".join(map(as_line, lines)) for lines in sections if lines)
+
+
+def heading(name: str, description: str) -> list[str]:
+    """Lines with the name of a dataset and its description, which may have several lines."""
+    first, *others = description.rstrip().splitlines() or [""]
+    return [f"{as_line(name)}: {first}".rstrip(": "), *others]
 
 
 def _origin(dataset: Description) -> list[str]:

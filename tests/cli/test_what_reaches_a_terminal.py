@@ -43,7 +43,7 @@ def test_plan_prints_names_as_they_are_and_harmless(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / f"c{STEERING.replace(chr(0), '')}.yaml"
-    path.write_text(json.dumps({"name": NAME[:100], "description": NAME, "scenes": 1}))
+    path.write_text(json.dumps({"name": NAME[:100], "description": STEERING, "scenes": 1}))
     parameters = {
         "detector.pde": 0.3, "exposure.cycles": 10, "exposure.repetition_rate_hz": 1e7, "sampler.flux_per_cycle": 0.1,
         "sampler.detections": 1.0, "sampler.name": NAME, "effect.afterpulsing.kind": NAME,
@@ -64,7 +64,7 @@ def test_plan_prints_names_as_they_are_and_harmless(
 def test_commands_on_a_dataset_of_such_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / f"set{STEERING.replace(chr(0), '')}\nall as written"
     small_dataset(root)
-    reseal(root / "dataset.json", lambda values: values["config"].update(name=NAME, description=NAME))
+    reseal(root / "dataset.json", lambda values: values["config"].update(name=NAME, description=STEERING))
     reseal(root / "build/shard-000001.json", lambda values: values["scenes"][0].update(failure=NAME))
     for command, status in (("info", 0), ("verify", 1), ("digest", 0)):
         assert run([command, str(root)]) == status
