@@ -175,7 +175,8 @@ def test_a_growth_that_is_interrupted_leaves_the_dataset_what_it_was(
     few = TransientDataset(tmp_path / "few", FIELDS)
     assert verify(ADDRESS, deep=True).problems == () and len(there) == 6 and there.stats == few.stats
     assert all(torch.equal(there[scene][name], few[scene][name]) for scene in range(6) for name in FIELDS)
-    assert puts < 20 or len(TransientDataset(ADDRESS, partial=True)) == 7
+    # The new shard, and at the end the scenes that the last one gets.
+    assert puts < 20 or len(TransientDataset(ADDRESS, partial=True)) in (7, 9)
     if puts % 2:
         shutil.rmtree(tmp_path / "staging")
     assert built(config, scenes=9).complete
