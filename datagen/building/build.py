@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import wait
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +46,7 @@ class BuildResult:
     ----------
     path : the dataset's folder, or its address in an object store.
     scenes : number of scenes in the dataset.
-    built, kept : number of shards that this build made, and that an earlier build had committed.
+    built, kept : number of shards that this build made, and that other builds had committed, earlier or meanwhile.
     complete : whether every shard is there.
     seconds : wall-clock time of this build.
     placed_anew : a sentence on scenes whose objects were placed anew for `evidence_at_least`; "" without that key.
@@ -134,8 +134,10 @@ def build(
     with closing(Progress(progress)) as shown:
         shown.doing("checking the configuration")
         output.fetch()
+        is_new = store.is_fresh(root)
         config = _with_exposure(root, config)
-        plan = store.planned(root, config)
+        with _first_there(root, is_new):
+            plan = store.planned(root, config)
         for folder in store.build_folders(root, plan):
             store.check_writable(folder)
         wanted = parse_shards(shards, plan.schema.shards)
@@ -156,7 +158,8 @@ def build(
             with started(engine, workers, scheduler) as running:
                 if is_simulated and first_use():
                     _compile(running, workers, sample_function, config, shown)
-                manifest = store.prepare(root, config)
+                with _first_there(root, is_new):
+                    manifest = store.prepare(root, config)
                 output.begin(manifest)
                 made_by = None if accept_mixed else made_with()
                 standing = store.standing_shards(root, manifest)
@@ -177,6 +180,18 @@ def build(
         placed_anew=" ".join(placed_anew_lines(dataset.parameters)),
         growth=store.growth_line(root, store.read_manifest(root)),
     )  # fmt: skip
+
+
+@contextmanager
+def _first_there(root: Path, is_new: bool) -> Iterator[None]:
+    """A context in which `InputError` becomes `CheckError` if nothing was in the folder when this build began, and
+    another build has begun there since: the call was right."""
+    try:
+        yield
+    except InputError as error:
+        if not is_new or store.is_fresh(root):
+            raise
+        raise CheckError(f"{error}; another build began there first, and this one wrote nothing") from None
 
 
 def _compile(engine: Engine, workers: int, sample: SampleFunction, config: DatasetConfig, shown: Progress) -> None:

@@ -24,6 +24,8 @@ from datagen.exit_status import Ended
 MOST_WORKERS = 4096
 PATIENCE_S = 3.0
 """Seconds that a worker has to end after SIGTERM before it is killed: enough to sync a shard to a disk."""
+COUNT_S = 0.5
+"""Seconds between two counts of a cluster's workers, which come and go: as often as a build looks at its jobs."""
 RETURN_S = 300.0
 """Seconds that a build waits for a lost Dask scheduler: a restart may have to queue in SLURM."""
 OF_WORKERS = dict.fromkeys(
@@ -55,7 +57,7 @@ def _starting() -> Iterator[None]:
         tempfile.gettempdir()
     except FileNotFoundError as error:
         raise InputError(
-            f"TMPDIR: workers need a temporary folder ({error.strerror}); set TMPDIR to a folder that you may write to"
+            f"TMPDIR: workers need a temporary folder ({error.strerror}); set TMPDIR to one that you may write to"
         ) from None
     # Before the block: Python up to 3.12 unblocks Ctrl-C when it has started its tracker of semaphores.
     resource_tracker.ensure_running()
@@ -279,8 +281,20 @@ class DaskCluster:
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             # Dask raises a TypeError for an address with tls if there are no certificates.
             raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
-        # One job in reserve for each worker, so that none waits for this process.
-        self.capacity = 2 * max(workers, len(self._client.nthreads()))
+        self._threads, self._count_due = workers, 0.0
+
+    @property
+    def capacity(self) -> int:
+        """Two jobs for each thread that the cluster has now: one is in reserve, so that no thread waits for this
+        process. A cluster without workers gets two, as its first worker may be on its way."""
+        now = time.monotonic()
+        if now >= self._count_due:
+            # A scheduler that is lost is waited for elsewhere (`restore`).
+            with suppress(OSError, TimeoutError, RuntimeError):
+                if self._client.status == "running":
+                    self._threads = sum(self._client.nthreads().values())
+            self._count_due = time.monotonic() + COUNT_S
+        return 2 * max(self._threads, 1)
 
     def _connect(self) -> None:
         self._client = self._dask.Client(self._cluster or self._scheduler, timeout=20)

@@ -4,10 +4,15 @@ A shard is divided into its scenes, each a job of its own. So a shard employs al
 costs one scene. Samples come back here, pickled, and wait in `Jobs.known`; with the last one a further job gets all
 of them and writes the shard. In a cluster, where all samples would pass through the scheduler, a job makes a whole
 shard and writes it; only a shard whose worker died is divided.
+
+Several builds of one dataset share the work. Whoever makes a shard has locked it: this process while its scenes are
+made one by one, else the worker. A shard that another process has locked is left for later, and taken as it is once
+that has committed it. A build waits for such shards last, as long as their makers give signs of life.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
@@ -18,15 +23,22 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, WorkerDied
 from datagen.building.progress import Progress
-from datagen.building.shard_job import Recipe, abandon_shard, make_scene, overtime, run_shard
+from datagen.building.shard_job import Recipe, ShardHeld, abandon_shard, make_scene, overtime, run_shard
 from datagen.errors import CheckError
+from datagen.locks import PULSE_S, give_sign, holder_of, lock_file, sign_of_life
 from datagen.store import upload
+from datagen.store.environment import mixed
 
 DEATHS_ALLOWED = 2
 """Worker processes that may die while they make the same scene before the build gives that scene up. One may die for
 another reason, such as memory that another program took."""
 TICK_S = 0.5
 """Seconds between two updates of the progress bar."""
+LOOK_S = 2.0
+"""Seconds between two looks at shards that other processes make."""
+SILENCE_S = 60.0
+"""Seconds without a sign of life after which a build waits no more for a process that has locked a shard. Signs come
+every `PULSE_S`, and compiled code holds one back for some seconds at most."""
 HOPELESS = 8
 """A build stops if all of its first `HOPELESS` scenes fail: the others would fail likewise."""
 
@@ -50,6 +62,14 @@ class Jobs:
     retried : committed shard → its scenes that failed or were not there when the dataset was smaller, which alone are
         made.
     known : divided shard → scene → pickled sample, or why there is none.
+    apart : shards that are divided because a worker died over them.
+    locks : shard whose scenes are being made one by one → handle of its lock.
+    held : shard that another process has locked → the last sign of life of that process.
+    heard : monotonic time of the last one of all these signs, and of the last result of a job.
+    looks, pulse : monotonic times of the next look at `held`, and of the next sign of life of this process.
+    waits : whether a line has said that this build waits for another one.
+    by_others : shards that other builds have made in the meantime.
+    began : Unix time of the beginning.
     finished, made, failed : scenes of committed shards in all, made by this build, and failed in this build.
     deaths : scene → workers that died while they made it.
     deaths_between : workers in a row that died otherwise.
@@ -64,6 +84,15 @@ class Jobs:
     started: dict[int, float] = field(default_factory=dict)
     retried: dict[int, Sequence[int]] = field(default_factory=dict)
     known: dict[int, dict[int, bytes | str]] = field(default_factory=dict)
+    apart: set[int] = field(default_factory=set)
+    locks: dict[int, int] = field(default_factory=dict)
+    held: dict[int, int] = field(default_factory=dict)
+    heard: float = field(default_factory=time.monotonic)
+    looks: float = 0.0
+    pulse: float = 0.0
+    waits: bool = False
+    by_others: int = 0
+    began: float = field(default_factory=time.time)
     finished: int = 0
     made: int = 0
     failed: int = 0
@@ -71,7 +100,9 @@ class Jobs:
     deaths_between: int = 0
 
     def run(self, wanted: Sequence[int], there: Mapping[int, Sequence[int]]) -> int:
-        """Make the wanted shards; returns how many of them were there before with all scenes.
+        """Make the wanted shards; returns how many of them were there before with all scenes, or made by others.
+
+        Raises `CheckError` if workers keep dying, and for shards that another process has locked and does not make.
 
         there : shard that is committed → its scenes that failed, or that it does not have yet.
         """
@@ -93,21 +124,28 @@ class Jobs:
             self.progress.say(f"{kept} of {len(wanted)} shards are there already")
         self.retried = {shard: failed for shard, failed in there.items() if failed}
         try:
-            while self.waiting or self.running:
+            while self.waiting or self.running or self.held:
                 while self.waiting and len(self.running) < self.engine.capacity:
                     self._hand_out()
+                self._give_signs()
+                if not self.running and self.held:
+                    time.sleep(TICK_S)
                 done, _ = wait(self.running, timeout=TICK_S, return_when=FIRST_COMPLETED)
                 self._show()
                 for future in done:
                     self._take_in(future)
+                if self.held and not self.waiting:
+                    self._look_at_held()
             self.progress.update(self.finished, (), self.failed)
         except BaseException:
             # The writers must be gone before their files are removed.
             self.engine.close(kill=True)
+            for handle in self.locks.values():
+                os.close(handle)
             for shard in self.started:
                 abandon_shard(self.recipe, shard)
             raise
-        return kept
+        return kept + self.by_others
 
     def _scenes(self, shard: int) -> Sequence[int]:
         """The scenes that are made before a shard is written."""
@@ -122,13 +160,16 @@ class Jobs:
         self.waiting.extendleft(Task(shard, scene) for scene in reversed(self._scenes(shard)))
 
     def _hand_out(self) -> None:
-        """Submit the next job."""
+        """Submit the next job, unless it is one of a shard that another process makes, or has made."""
         task = self.waiting.popleft()
-        if task.scene is None and task.shard not in self.known and self.engine.shares_shards:
-            self._divide(task.shard)
-            task = self.waiting.popleft()
-        shard = task.shard
         now = time.time()
+        if task.scene is None:
+            if not self._is_ours(task.shard):
+                return
+            if task.shard in self.locks:
+                self._divide(task.shard)
+                task = self.waiting.popleft()
+        shard = task.shard
         self.started.setdefault(shard, now)
         if task.scene is not None:
             future = self.engine.submit(make_scene, self.recipe, task.scene)
@@ -138,15 +179,91 @@ class Jobs:
             future = self.engine.submit(run_shard, self.recipe, shard, now, *divided)
         self.running[future] = task
 
+    def _is_ours(self, shard: int) -> bool:
+        """Whether a shard is to be made, or written, now. A shard whose scenes will be made one by one is then
+        locked; any other one is locked by its worker."""
+        root, manifest = self.recipe.root, self.recipe.manifest
+        path = store.running_path(root, shard)
+        # Noted first, so that an interruption removes the file of the lock.
+        self.started.setdefault(shard, time.time())
+        handle = self.locks.pop(shard, None)
+        handle = lock_file(path) if handle is None else handle
+        if handle is None:
+            self._leave_for_later(shard)
+            return False
+        self.locks[shard] = handle
+        self.held.pop(shard, None)
+        record = next(iter(store.committed(root, manifest, [shard], hashes=True)), None)
+        # A shard of which scenes failed before this build began is one to be mended.
+        is_made = record is not None and not (record.failures and record.finished <= self.began)
+        if is_made:
+            path.unlink(missing_ok=True)
+        if is_made or shard in self.known or not (self.engine.shares_shards or shard in self.apart):
+            os.close(self.locks.pop(shard))
+        if record is not None and is_made:
+            self._take_from_others(record)
+        return not is_made
+
+    def _leave_for_later(self, shard: int) -> None:
+        """Another process makes this shard."""
+        self.held.setdefault(shard, 0)
+        if shard not in self.known:
+            self.started.pop(shard, None)
+
+    def _take_from_others(self, record: store.ShardRecord) -> None:
+        """A shard that another build has made is there. Raises `CheckError` if it was made with other versions."""
+        for difference in [] if self.recipe.made_with is None else mixed([self.recipe.made_with, record.made_by]):
+            raise CheckError(
+                f"another build has made shard {record.shard} meanwhile, and differs in {difference}; use the same "
+                "there, or build with --accept-mixed"
+            )
+        if self.output.bucket:
+            self.output.put_shard(record, self.recipe.manifest)
+        self.known.pop(record.shard, None)
+        self.started.pop(record.shard, None)
+        self.finished, self.by_others = self.finished + self._size(record.shard), self.by_others + 1
+
+    def _look_at_held(self) -> None:
+        """Let the shards that others make be tried once more, now and then. Raises `CheckError` if nobody stirs."""
+        now = time.monotonic()
+        if now < self.looks:
+            return
+        paths = {shard: store.running_path(self.recipe.root, shard) for shard in self.held}
+        signs = {shard: sign_of_life(path) for shard, path in paths.items()}
+        if self.running or signs != self.held:
+            self.heard = now
+        who = ", ".join(f"shard {shard} ({holder_of(path)})" for shard, path in list(paths.items())[:8])
+        who += f" and {len(paths) - 8} more" if len(paths) > 8 else ""
+        if now > self.heard + SILENCE_S:
+            raise CheckError(
+                f"{self.recipe.root}: another build is writing {who}, and has not stirred for {SILENCE_S:g} s; all "
+                "other shards are made; when that process has gone on or ended, run the same command again"
+            )
+        if not self.running and not self.waits:
+            self.progress.say(f"waiting for another build, which is making {who}")
+            self.waits = True
+        self.looks, self.held = now + LOOK_S, signs
+        self.waiting.extend(map(Task, signs))
+
+    def _give_signs(self) -> None:
+        """Let others see that this process is at work on the shards that it has locked."""
+        if time.monotonic() < self.pulse:
+            return
+        self.pulse = time.monotonic() + PULSE_S
+        for handle in self.locks.values():
+            give_sign(handle)
+
     def _take_in(self, future: Future[Any]) -> None:
         """Take the result of a job in; a job that was cancelled or whose worker died is put back."""
-        task = self.running.pop(future)
+        task, self.heard = self.running.pop(future), time.monotonic()
         if future.cancelled():
             self.engine.restore(self.progress.say)
             abandon_shard(self.recipe, task.shard)
             self.waiting.appendleft(task)
         elif isinstance(future.exception(), self.engine.deaths):
             self._after_death(task, future.exception())
+        elif isinstance(future.exception(), ShardHeld):
+            self._leave_for_later(task.shard)
         elif task.scene is None:
             self._take_shard(task.shard, future.result())
         else:
@@ -166,7 +283,7 @@ class Jobs:
         for record in store.committed(of.root, of.manifest, [shard]) if self.output.bucket else ():
             self.output.put_shard(record, of.manifest)
         self.known.pop(shard, None)
-        del self.started[shard]
+        self.started.pop(shard, None)
         size = self._size(shard)
         self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(failures)
         if self.failed == self.made >= min(HOPELESS, of.manifest.schema.scenes):
@@ -181,7 +298,8 @@ class Jobs:
             abandon_shard(self.recipe, task.shard)
             if task.shard not in self.known:
                 # Which scene was the cause shows when they are made one by one.
-                self._divide(task.shard)
+                self.apart.add(task.shard)
+                self.waiting.appendleft(task)
                 return
         seconds = error.seconds if isinstance(error, WorkerDied) else 0.0
         if task.scene is None or seconds is None:

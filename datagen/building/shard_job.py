@@ -17,7 +17,7 @@ from types import MappingProxyType
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.exit_status import Ended
-from datagen.locks import locked
+from datagen.locks import holder_of, lock_file, signs_of_life
 from datagen.records import Sample
 from datagen.store import (
     DatasetReader,
@@ -36,8 +36,8 @@ GRACE_S = 10.0
 """Seconds beyond the time limit of a scene (at most the limit itself) after which its process ends, because the
 exception did not reach it: time for a library call to return."""
 LONGEST_SCENE_S = 30 * 86400.0
-LOCK_PATIENCE_S = 10.0
-"""Seconds to wait for another writer of the same shard, such as a worker of a killed build, which ends within 3 s."""
+LOCK_PATIENCE_S = 1.0
+"""Seconds that a worker waits for another writer of the same shard before it takes another shard."""
 
 Known = Mapping[int, bytes | str]
 """Scene → what `make_scene` returned for it, or why it is given up."""
@@ -70,6 +70,10 @@ class Recipe:
         return self.root / GROWTH if shard < self.standing else self.root
 
 
+class ShardHeld(CheckError):
+    """Another process is writing the shard."""
+
+
 def make_scene(recipe: Recipe, index: int) -> bytes | str:
     """One scene as a pickled sample, or one line on why there is none."""
     _check_environment(recipe)
@@ -91,6 +95,8 @@ def run_shard(
     submitted : Unix time at which the job was submitted.
     known : scenes that are made, or given up, already.
     started : Unix time at which the first of the known scenes was begun; None if there are none.
+
+    Raises `ShardHeld` if another process is writing the shard.
     """
     root, manifest = recipe.root, recipe.manifest
     path = running_path(root, shard)
@@ -199,18 +205,18 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[None]:
     """A context in which this process has locked a file, for two writers of one shard would lose data silently. The
     system unlocks the file when the process ends."""
     deadline = time.monotonic() + patience_s
-    while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        try:
-            # If the file system has no locks, nothing prevents a user from starting two builds of one shard.
-            if locked(handle, otherwise=True) and os.fstat(handle).st_nlink > 0:
-                yield
-                return
-        finally:
-            os.close(handle)
+    while (handle := lock_file(path)) is None:
         if time.monotonic() > deadline:
-            raise CheckError(f"{path}: another build is writing this shard; wait for it, or choose other --shards")
+            raise ShardHeld(
+                f"{path}: another build is writing this shard ({holder_of(path)}); wait for it, or choose other "
+                "--shards"
+            )
         time.sleep(0.05)
+    try:
+        with signs_of_life(handle):
+            yield
+    finally:
+        os.close(handle)
 
 
 class Overtime(BaseException):

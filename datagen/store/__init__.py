@@ -5,7 +5,7 @@ from datagen.store.description import Description
 from datagen.store.files import check_writable
 from datagen.store.growth import growth_line, growth_of, standing_shards
 from datagen.store.manifest import Manifest, read_manifest
-from datagen.store.prepare import build_folders, forget_complete, planned, prepare
+from datagen.store.prepare import build_folders, forget_complete, is_fresh, planned, prepare
 from datagen.store.reader import DatasetReader
 from datagen.store.record import ShardRecord, running_path
 from datagen.store.schema import Field, Schema, schema_of
@@ -15,6 +15,6 @@ from datagen.store.verify import Verification, committed, each_committed, finish
 __all__ = [
     "DatasetReader", "Description", "Field", "Manifest", "Schema", "ShardRecord", "Verification", "build_folders",
     "check_writable", "committed", "discard_shard", "each_committed", "finish", "forget_complete", "growth_line",
-    "growth_of", "planned", "prepare", "read_manifest", "running_path", "schema_of", "standing_shards", "verify",
-    "write_card", "write_shard",
+    "growth_of", "is_fresh", "planned", "prepare", "read_manifest", "running_path", "schema_of", "standing_shards",
+    "verify", "write_card", "write_shard",
 ]  # fmt: skip

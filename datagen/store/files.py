@@ -10,8 +10,9 @@ import json
 import math
 import os
 import re
+import secrets
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
@@ -41,16 +42,40 @@ def write_atomically(path: Path, content: bytes) -> None:
         file.write(content)
 
 
+def write_first(path: Path, content: bytes) -> bool:
+    """Write a file unless there is one; returns whether it was written. Of several processes one is the first."""
+    try:
+        with replacing(path, _be_first) as file:
+            file.write(content)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _be_first(partial: Path, path: Path) -> None:
+    """Give a file its name. Raises `FileExistsError` if there is one of that name."""
+    try:
+        os.link(partial, path)
+    except FileExistsError:
+        raise
+    except OSError:
+        # On a file system where a file has one name only, an empty file claims it.
+        os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644))
+        partial.replace(path)
+    partial.unlink(missing_ok=True)
+
+
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A new file beside `path`, which is synced and takes its place at the end of the block."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
+def replacing(path: Path, take_place: Callable[[Path, Path], object] = Path.replace) -> Iterator[BinaryIO]:
+    """A new file beside `path`, which is synced and takes its place, by `take_place`, at the end of the block."""
+    # Processes of several machines or containers may have one number.
+    partial = path.with_name(f"{path.name}.{os.getpid()}-{secrets.token_hex(4)}{PARTIAL}")
     try:
         with _new_locked(partial) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            partial.replace(path)
+            take_place(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -85,6 +85,17 @@ class Bucket:
         """Upload a file, or some bytes. A large file is sent in parts, and the object appears when all are there."""
         self._requested("put", str(self.key), file)
 
+    def put_first(self, file: Path) -> bool:
+        """Upload a file unless there is an object of this address; returns whether it was uploaded. Of two processes
+        one is the first, in a store that has conditional uploads; in any other both are."""
+        try:
+            self._requested("put", str(self.key), file, mode="create")
+        except FileExistsError:
+            return False
+        except CheckError:
+            self.put(file)
+        return True
+
     def unlink(self, missing_ok: bool = False) -> None:
         """Remove the object; raises `FileNotFoundError` if it is missing and that is not allowed."""
         with suppress(FileNotFoundError) if missing_ok else nullcontext():
@@ -123,6 +134,8 @@ class Bucket:
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "no such object", str(self)) from None
         except Exception as error:
+            if type(error).__name__ in ("AlreadyExistsError", "PreconditionError"):
+                raise FileExistsError(errno.EEXIST, "there is such an object", str(self)) from None
             text = " ".join(str(error).strip().partition("\n")[0].split())[:300]
             raise CheckError(
                 f"{self}: {text}; look at the address, the network and AWS_* in the environment"

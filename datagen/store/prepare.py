@@ -11,8 +11,9 @@ from datagen._version import __version__
 from datagen.config import DatasetConfig, time_axes
 from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
+from datagen.locks import alone_in
 from datagen.store.arrays import GROUP, coordinates, metadata_files
-from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_if_changed
+from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_first, write_if_changed
 from datagen.store.growth import growth_of, remove_empty, standing_shards, take_places
 from datagen.store.location import Location
 from datagen.store.manifest import (
@@ -79,10 +80,17 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
     """Create a dataset, or resume an existing one; returns its manifest. Raises as `planned` does.
 
     Only the parent process of a build calls this. Every step can be repeated: if a build is killed in between, the
-    next one resumes.
+    next one resumes. Of several builds that begin at once one comes first, and the others see what it began.
     """
-    manifest = planned(root, config)
     root.mkdir(parents=True, exist_ok=True)
+    with alone_in(root):
+        return _prepared(root, config)
+
+
+def _prepared(root: Path, config: DatasetConfig) -> Manifest:
+    """What `prepare` returns, with nobody else in the folder, if its file system has locks."""
+    is_new = is_fresh(root)
+    manifest = planned(root, config)
     for folder in build_folders(root, manifest):
         clear_partials(folder)
     _go_on_with_growth(root, manifest)
@@ -93,6 +101,8 @@ def prepare(root: Path, config: DatasetConfig) -> Manifest:
         # The dataset is repaired, or grows before it is complete: files that say it is complete go before anything
         # else changes.
         forget_complete(root)
+    if is_new and not write_first(root / MANIFEST, content):
+        return _prepared(root, config)
     write_if_changed(home / MANIFEST, content)
     for name, metadata in metadata_files(manifest.schema, time_axes(config)).items():
         if not (is_growing and holds(root / name, metadata)):

@@ -16,9 +16,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.errors import InputError
+from datagen.errors import CheckError, InputError
 from datagen.store.card import CARD
-from datagen.store.files import check_writable, holds, read_whole, write_atomically
+from datagen.store.files import check_writable, holds, read_whole, write_atomically, write_first
 from datagen.store.growth import growth_of, standing_shards, turn
 from datagen.store.location import Bucket, location_of
 from datagen.store.manifest import MANIFEST, DamagedManifest, Manifest, read_manifest
@@ -78,7 +78,7 @@ class Output:
             return
         if is_fresh(root):
             root.mkdir(parents=True, exist_ok=True)
-            write_atomically(root / MANIFEST, read_whole(bucket / MANIFEST))
+            write_first(root / MANIFEST, read_whole(bucket / MANIFEST))
         own = read_manifest(root)
         if own.fingerprint != manifest.fingerprint:
             raise InputError(
@@ -98,7 +98,8 @@ class Output:
             write_atomically(kept, record.to_bytes())
 
     def begin(self, manifest: Manifest) -> None:
-        """Upload the manifest and the metadata of the arrays, if they are not there."""
+        """Upload the manifest and the metadata of the arrays, if they are not there. Raises `CheckError` if another
+        build has begun another dataset there since this one looked."""
         if self.bucket is None:
             return
         if self._standing(manifest):
@@ -106,6 +107,17 @@ class Output:
             if not holds(self.bucket / GROWTH / MANIFEST, content):
                 (self.bucket / GROWTH / MANIFEST).put(content)
             return
+        first = self.bucket / MANIFEST
+        if first.is_file() or not first.put_first(self.folder / MANIFEST):
+            try:
+                there = read_manifest(self.bucket).fingerprint
+            except DamagedManifest:
+                there = manifest.fingerprint
+            if there != manifest.fingerprint:
+                raise CheckError(
+                    f"output {self.bucket}: another build began another dataset there first, and this one wrote "
+                    f"nothing there; name another address, and delete {self.folder}"
+                )
         if not holds(self.bucket / MANIFEST, (self.folder / MANIFEST).read_bytes()):
             # The dataset is repaired, or grows before it is complete: files that say it is complete go before
             # anything else changes.

@@ -82,6 +82,8 @@ def finish(root: Path, manifest: Manifest) -> Description:
     """
     with growing_alone(root):
         dataset = Description(manifest, each_committed(root, manifest))
+        if _has_grown(root, manifest):
+            return dataset
         is_growing = standing_shards(root, manifest) > 0
         if is_growing and not dataset.is_whole:
             return dataset
@@ -105,6 +107,15 @@ def finish(root: Path, manifest: Manifest) -> Description:
             write_if_changed(home / MANIFEST, dataset.manifest.to_bytes())
             take_places(root)
     return dataset
+
+
+def _has_grown(root: Path, manifest: Manifest) -> bool:
+    """Whether another build has made the dataset larger than in `manifest`: what describes it is that build's."""
+    try:
+        there = read_manifest(root)
+    except InputError:
+        return False
+    return there.fingerprint == manifest.fingerprint and there.schema.scenes > manifest.schema.scenes
 
 
 @dataclass(frozen=True)
