@@ -275,8 +275,9 @@ def check_writable(path: Path, by: str = "") -> None:
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
         # Permission bits are not reliable on every file system, so a file is made; it has no name and leaves no
-        # trace.
-        with tempfile.TemporaryFile(dir=existing):
+        # trace. Where file systems know no such files, it looks to another build (`is_fresh`) like the rest of a first
+        # file.
+        with tempfile.TemporaryFile(prefix="dataset.json.", suffix=PARTIAL, dir=existing):
             pass
     except OSError as error:
         reason = error.strerror or type(error).__name__

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from datagen.config import fingerprint_of
-from datagen.errors import CheckError, as_line
+from datagen.errors import CheckError, InputError, as_line
 from datagen.store.card import CARD, card, write_card
 from datagen.store.croissant import croissant
 from datagen.store.description import Description

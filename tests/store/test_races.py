@@ -188,7 +188,7 @@ def test_two_builds_of_one_dataset_share_its_work(tmp_path: Path, workers: int) 
         made.append(index)
         if len(made) < 3:
             # Both are at work on a scene.
-            meeting.wait(60)
+            meeting.wait(20)
         return fake_sample(config, index)
 
     results = list[building.BuildResult]()
