@@ -275,8 +275,7 @@ def check_writable(path: Path, by: str = "") -> None:
         raise InputError(f"output {path}: {what}, not a folder; name a new folder, or a dataset to resume")
     try:
         # Permission bits are not reliable on every file system, so a file is made; it has no name and leaves no
-        # trace. Where file systems know no such files, it looks to another build (`is_fresh`) like the rest of a first
-        # file.
+        # trace. On file systems without such files another build takes it for the rest of a first file (`is_fresh`).
         with tempfile.TemporaryFile(prefix="dataset.json.", suffix=PARTIAL, dir=existing):
             pass
     except OSError as error:

@@ -90,6 +90,31 @@ def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path
     assert "set TMPDIR to a shorter path" in done.stderr
 
 
+def test_a_cluster_gets_jobs_by_its_threads_as_its_workers_come_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two for each thread. A build that begins before the first worker has some ready for it, and a scheduler that
+    does not answer changes nothing."""
+    distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+
+    class Client:
+        status, workers = "running", {}
+
+        def __init__(self, *_: object, **__: object) -> None: ...
+
+        def get_executor(self, **_: object) -> None: ...
+
+        def nthreads(self) -> dict[str, int]:
+            if self.workers is None:
+                raise OSError("no answer")
+            return self.workers
+
+    monkeypatch.setattr(distributed, "Client", Client)
+    monkeypatch.setattr(engines, "COUNT_S", 0.0)
+    cluster = engines.DaskCluster(1, "tcp://127.0.0.1:9")
+    for workers, due in (({}, 2), ({"a": 4}, 8), ({"a": 4, "b": 1}, 10), (None, 10), ({"b": 1}, 2), ({}, 2)):
+        monkeypatch.setattr(Client, "workers", workers)
+        assert cluster.capacity == due
+
+
 SCRIPT = """
 import os, sys
 import datagen as dg
