@@ -14,7 +14,6 @@ import numpy as np
 from datagen.records import Capture, Scene, TimeAxis
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.lines_of_sight import seen_points
 from datagen.transport.rays import SURFACE_OFFSET, Raycaster
 from datagen.units import path_from_time
 
@@ -54,12 +53,15 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
                 "that part, towards what it looks at"
             )
             return
-    if direct or not scene.objects:
+    met = caster.closest(capture.sensor.position, capture.sensor.pixels.mean(axis=1) - capture.sensor.position)
+    looked_at = {*points.part.tolist(), *scene.face_part[met.face[met.valid]].tolist()}
+    # A bare wall is dark on purpose.
+    if direct or not any(scene.part_names.index(name) not in looked_at for name in scene.objects):
         return
-    seen = seen_points(caster, capture.sensor)
+    seen = np.where(met.valid[:, None], met.position, np.nan)
     for what, key, at, normal in (
         ("laser points", "Laser.position", points.position, points.normal),
-        ("surfaces that the pixels see", "Sensor.position", seen.position, seen.normal),
+        ("surfaces that the pixels see", "Sensor.position", seen, met.normal),
     ):
         known = np.isfinite(at[:, 0])
         if not known.any():
