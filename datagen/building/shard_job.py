@@ -141,8 +141,8 @@ def _with_missing_made(recipe: Recipe, record: ShardRecord, known: Known) -> Sam
         return None
     names = recipe.manifest.schema.by_name
     # A record that waits has its files beside it until they take their places, all before the next shard is made.
-    places = [recipe.root / GROWTH, recipe.root]
-    place = next(place for place in places if record.problem(place, hashes=False) is None)
+    waits = record.problem(recipe.root / GROWTH, hashes=False) is None
+    place = recipe.root / GROWTH if waits else recipe.root
     reader = DatasetReader(place, recipe.manifest, names)
     for scene in record.scenes:
         if scene.failure is None:
