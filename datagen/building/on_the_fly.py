@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,7 +12,9 @@ from torch.utils.data import IterableDataset, get_worker_info
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
+from datagen.loader.ranks import number_of_ranks, rank_of_process
 from datagen.pipeline import simulate_sample
+from datagen.records.checks import check_integer
 from datagen.store import schema_of
 from datagen.store.shard import encoded
 from datagen.store.stats import COUNTS
@@ -20,15 +23,21 @@ from datagen.store.stats import COUNTS
 class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
     """The samples of a configuration, simulated while they are read: the same as in a dataset built with it.
 
-    Each of n loader workers makes every n-th scene; with no worker or one, scenes come in order. An epoch ends after
-    the configuration's number of `scenes`, and the next epoch simulates the same scenes again. If you want to read
-    scenes twice, build a dataset; if you want to see no scene twice, raise `scenes`.
+    Scenes are dealt out to the processes of distributed training, and those of a process to its loader's workers;
+    without either, scenes come in order. All processes get the same number of scenes: if they do not divide evenly,
+    some come twice. Nothing is shuffled, so there is no `set_epoch` to call: an epoch ends after the configuration's
+    number of `scenes`, and the next epoch simulates the same scenes again. If you want to read scenes twice, build a
+    dataset; if you want to see no scene twice, raise `scenes`.
+
+    torchdata's `StatefulDataLoader` goes on after the scenes that were done, without simulating them again.
 
     Parameters
     ----------
     config : what to make. The search for `detector.exposure_for`, if that is given, runs at once.
     fields : fields of an item, out of `config.store.fields`. Histograms become float32.
     first : number of the first scene, ≥ 0; for example the number of scenes that an earlier run has read.
+    rank, ranks : index of this process and number of processes, instead of those that `torch.distributed` knows, or
+        RANK and WORLD_SIZE; `ranks=1` if somebody else deals out the items, as Accelerate does.
 
     Raises
     ------
@@ -46,7 +55,13 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
     """
 
     def __init__(
-        self, config: DatasetConfig, fields: Sequence[str] = ("histogram", "depth"), *, first: int = 0
+        self,
+        config: DatasetConfig,
+        fields: Sequence[str] = ("histogram", "depth"),
+        *,
+        first: int = 0,
+        rank: int | None = None,
+        ranks: int | None = None,
     ) -> None:
         known = schema_of(config).by_name
         for name in fields:
@@ -54,18 +69,67 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
                 raise InputError(f"fields: {name!r} is not in store.fields; there are {', '.join(known)}")
         if first < 0:
             raise InputError(f"first = {first}: must be ≥ 0")
+        if ranks is not None:
+            check_integer("GeneratedDataset", "ranks", ranks, 1, 2**31)
+            check_integer("GeneratedDataset", "rank", 0 if rank is None and ranks == 1 else rank, 0, ranks - 1)
+        elif rank is not None:
+            raise InputError(f"rank = {rank}: give the number of processes, too, such as ranks=2")
         config = with_exposure_found(config)
         self._config, self._fields, self._first = config, {name: known[name] for name in fields}, first
+        self._given = None if ranks is None else (rank or 0, ranks)
+        # Of the process that started this one, a worker.
+        self._found: tuple[int, int] | None = None
 
     def __len__(self) -> int:
-        return max(0, self._config.scenes - self._first)
+        _, ranks = self._place()
+        return -(-max(0, self._config.scenes - self._first) // ranks)
 
     def __iter__(self) -> Iterator[dict[str, torch.Tensor]]:
+        rank, ranks = self._place()
         worker = get_worker_info()
         begin, step = (worker.id, worker.num_workers) if worker is not None else (0, 1)
-        for scene in range(self._first + begin, self._config.scenes, step):
-            sample = simulate_sample(self._config, scene)
-            values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
-            values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
-            item = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in values.items()}
-            yield item | {"scene": torch.tensor(scene)}
+        every = np.arange(self._first, max(self._first, self._config.scenes))
+        dealt = np.resize(every, len(self) * ranks)
+        return _Scenes(self, dealt[rank::ranks][begin::step].tolist())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The state with the rank of this process, which a spawned worker takes over."""
+        return self.__dict__ | {"_found": self._place()}
+
+    def sample(self, scene: int) -> dict[str, torch.Tensor]:
+        """The item of a scene."""
+        sample = simulate_sample(self._config, scene)
+        values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
+        values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
+        item = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in values.items()}
+        return item | {"scene": torch.tensor(scene)}
+
+    def _place(self) -> tuple[int, int]:
+        if self._given is not None:
+            return self._given
+        rank, ranks = self._found or (None, None)
+        # Of more processes than there are, such as where RANK alone is stated, each makes every scene.
+        rank, ranks = rank_of_process(rank), number_of_ranks(ranks)
+        return (rank, ranks) if rank < ranks else (0, 1)
+
+
+class _Scenes(Iterator[dict[str, torch.Tensor]]):
+    """The items of some scenes, one after the other; `StatefulDataLoader` saves and loads how many are done."""
+
+    def __init__(self, data: GeneratedDataset, scenes: list[int]) -> None:
+        self._data, self._scenes, self._done = data, scenes, 0
+
+    def __next__(self) -> dict[str, torch.Tensor]:
+        if self._done >= len(self._scenes):
+            raise StopIteration
+        self._done += 1
+        return self._data.sample(self._scenes[self._done - 1])
+
+    def state_dict(self) -> dict[str, int]:
+        """The number of items that were handed out."""
+        return {"done": self._done}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Leave out the items that were handed out."""
+        check_integer("load_state_dict", "done", state.get("done"), 0, len(self._scenes))
+        self._done = int(state["done"])

@@ -6,7 +6,7 @@ import operator
 import os
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +16,15 @@ import numpy as np
 import pyarrow as pa
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, get_worker_info
 
 from datagen.errors import CheckError, InputError
-from datagen.loader.batch import Batch
+from datagen.loader.batch import JOINED, Batch, Item
 from datagen.loader.crops import Crops
+from datagen.loader.draw_counter import DrawCounter, check_epoch, shared
 from datagen.loader.events import events_of
-from datagen.loader.redrawn_noise import TRANSIENT_OF, DrawCounter, NoiseSource, drawn_field
+from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource, drawn_field
+from datagen.loader.sendable import check_sendable
 from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records import TimeAxis
@@ -84,6 +86,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     pixels : the pixels to read, in the same way.
     bins : a slice of the time bins (of the histogram, where the sensor merges bins). It saves memory; it saves
         decoding only together with the other two.
+    transform : a function from an item to what is used in its place, such as the item with `histogram` normalised. It
+        runs where the item is read: in the worker, if the loader has workers. Workers that are started by spawn need
+        a function that `pickle` can send, one at the top of a module.
     evidence_at_least : read only scenes in which every object has at least this significance (docs/physics.md); below
         3 nothing can be learnt. Scenes without objects stay. `data.parameters("evidence.weakest")` has the
         significance of the weakest object of each scene, and the field `object_significance` (label `objects`) that
@@ -131,6 +136,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         lasers: slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice] | None = None,
         pixels: slice | Sequence[int] | NDArray[np.generic] | tuple[slice, slice] | None = None,
         bins: slice | None = None,
+        transform: Callable[[Item], Any] | None = None,
         evidence_at_least: float | None = None,
         partial: bool = False,
     ) -> None:
@@ -142,6 +148,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if evidence_at_least is not None:
             sigmas = "standard deviations, such as 3"
             check_number("TransientDataset", "evidence_at_least", evidence_at_least, 0.0, 1e9, sigmas)
+        if transform is not None and not callable(transform):
+            raise InputError(f"transform = {shown(transform)}: must be a function from an item to an item")
+        self.transform = transform
         self.path = location_of(path).resolve()
         manifest = read_manifest(path)
         # Whether shards are missing, so that the records of the others stand in for the table.
@@ -189,7 +198,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         stored = [self._light.get(name, name) for name in self.selected]
         stored += GEOMETRY if self._volumes else ()
         self._seen: dict[str, Any] = {
-            name: torch.zeros(self._schema.scenes, dtype=torch.bool).share_memory_() for name in stored
+            name: shared(torch.zeros(self._schema.scenes, dtype=torch.bool)) for name in stored
         }
         self._check = check
         self._reader: DatasetReader | None = None
@@ -198,7 +207,14 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return len(self.scenes)
 
     def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
-        return self.__getitems__([item])[0]
+        scenes = [self._scene_of(item)]
+        found = self._item(scenes[0], self._draws_of(scenes)[0])
+        if self.transform is None:
+            return found
+        changed = self.transform(found)
+        if changed is None:
+            raise InputError(f"transform: returned nothing for item {item}; it must return the item")
+        return cast(dict[str, torch.Tensor], changed)
 
     def __repr__(self) -> str:
         part = f" of split {self.split!r}" if self.split else ""
@@ -212,28 +228,27 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
 
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
-        """Several items, with one read for each field. A `DataLoader` calls this for a batch."""
-        scenes = [int(self.scenes[self._checked(item)]) for item in items]
-        drawn = self._drawn(scenes)
-        batch = {
-            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
-            for name in self.selected
-            if name != "histogram" or self._instead is None
-        } | {"scene": torch.tensor(scenes)}
-        if self._instead is None:
-            return Batch(batch)
-        counts = drawn.get("histogram")
-        if counts is None:
-            counts = self._stored("histogram", scenes, part=self._parts["histogram"])
-        if self._volumes is not None:
-            geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
-            return Batch(batch | {"volume": torch.from_numpy(self._volumes.backproject(scenes, counts, geometry))})
-        events, of_events = events_of(counts)
-        return Batch(batch, torch.from_numpy(events), torch.from_numpy(self._cast(of_events)))
+        """Several items; a `DataLoader` calls this for a batch. They are those that `data[item]` gives one by one."""
+        # What a subclass or a transform makes of an item happens to each item. A worker sends items from a thread
+        # that may not fail, so that they are read before.
+        if not self.gives_stored_items or get_worker_info() is not None:
+            return [self[item] for item in items]
+        scenes = [self._scene_of(item) for item in items]
+        draws = self._draws_of(scenes)
+        return Batch(
+            lambda: [self._item(scene, draw) for scene, draw in zip(scenes, draws, strict=True)],
+            lambda: self._whole(scenes, draws),
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without the reader: each process makes its own."""
+        check_sendable("transform", self.transform)
         return self.__dict__ | {"_reader": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """A copy has memory of its own that it shares with its workers."""
+        self.__dict__.update(state)
+        self._seen = {name: seen if seen.is_shared() else shared(seen) for name, seen in self._seen.items()}
 
     def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
         """Set the next draw of every item (or of `items`) to number `epoch`; later reads count on from it.
@@ -245,8 +260,30 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         chosen = np.arange(len(self)) if items is None else np.asarray(items)
         if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
             raise InputError(f"items = {shown(items)}: must be a list of whole numbers, the items' own")
+        check_epoch(epoch)
         if self._draws is not None:
             self._draws.fix(epoch, self.scenes[chosen.astype(np.int64)])
+
+    def state_dict(self) -> dict[str, Any]:
+        """How often each scene was read, which redrawn noise goes on from; empty without `redraw_noise`.
+
+        torchdata's `StatefulDataLoader` saves it with its own state.
+        """
+        return {} if self._draws is None else {"draws": self._draws.state_dict()}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on with the noise after the reads of a state that `state_dict` returned.
+
+        Raises `InputError` for the state of a dataset of another size, or without redrawn noise.
+        """
+        check_kind("load_state_dict", state, Mapping, remedy="what state_dict returned")
+        if self._draws is not None:
+            self._draws.load_state_dict(state.get("draws", {}))
+
+    @property
+    def draws(self) -> DrawCounter | None:
+        """The number of the next draw of each scene, which `EpochSampler` sets; None without `redraw_noise`."""
+        return self._draws
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of a field of an item."""
@@ -266,6 +303,27 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             return axis
         first, stop = part.last.start, part.last.stop
         return replace(axis, bins=stop - first, start_s=axis.start_s + first * axis.width_s)
+
+    @property
+    def gives_stored_items(self) -> bool:
+        """Whether items are as they were stored or drawn; False if a subclass or a transform may change them."""
+        return type(self).__getitem__ is _OWN_ITEM and self.transform is None
+
+    def layout(self) -> dict[str, str]:
+        """What datasets have in common that can be joined: fields of an item; shape, type, unit and bins of each."""
+        found = {"fields": ", ".join(self.selected) + (f" as {self._instead}" if self._instead else "")}
+        for name in self.selected:
+            field = self._fields[name]
+            dtype = self._counts if name in COUNTS and self._counts is not None else field.dtype
+            found |= {f"shape of {name}": str(self.shape(name)), f"type of {name}": str(dtype)}
+            found |= {f"unit of {name}": field.unit, f"classes of {name}": ", ".join(field.classes)}
+            if field.dims[-1] in ("bin", "transient_bin"):
+                axis = self.time_of(name)
+                width, start = axis.width_s * 1e12, axis.start_s * 1e9
+                found[f"bins of {name}"] = f"{width:.9g} ps from {start:.9g} ns since {axis.origin}"
+        if self._volumes is not None:
+            found["shape of volume"] = str(self._volumes.shape)
+        return found
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -370,7 +428,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
         return None if counts == "stored" else np.dtype(str(counts))
 
-    def _checked(self, item: object) -> int:
+    def _scene_of(self, item: object) -> int:
         try:
             number = operator.index(item)  # type: ignore[arg-type]
         except TypeError:
@@ -378,7 +436,40 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"item {item!r}: must be a whole number{several}") from None
         if not -len(self) <= number < len(self):
             raise IndexError(f"item {number}: this dataset has {len(self)} items")
-        return number
+        return int(self.scenes[number])
+
+    def _draws_of(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
+        """(number, stream) of the draw of each scene, where any field is drawn."""
+        drawn = self._draws is not None and any(name in self._light for name in self.selected)
+        return self._draws.take(scenes) if drawn and self._draws is not None else [(0, 0)] * len(scenes)
+
+    def _item(self, scene: int, draw: tuple[int, int]) -> Item:
+        """One item, in memory of its own."""
+        whole = self._whole([scene], [draw])
+        item = {name: values[0] for name, values in whole.items() if name not in JOINED}
+        if "events" in whole:
+            # Without the first column, the index of the sample.
+            item |= {"events": whole["events"][:, 1:].contiguous(), "counts": whole["counts"]}
+        return item
+
+    def _whole(self, scenes: Sequence[int], draws: Sequence[tuple[int, int]]) -> Item:
+        """The batch of some scenes, with one read for each field."""
+        drawn = self._drawn(scenes, draws)
+        batch = {
+            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
+            for name in self.selected
+            if name != "histogram" or self._instead is None
+        } | {"scene": torch.tensor(scenes)}
+        if self._instead is None:
+            return batch
+        counts = drawn.get("histogram")
+        if counts is None:
+            counts = self._stored("histogram", scenes, part=self._parts["histogram"])
+        if self._volumes is not None:
+            geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
+            return batch | {"volume": torch.from_numpy(self._volumes.backproject(scenes, counts, geometry))}
+        events, of_events = events_of(counts)
+        return batch | {"events": torch.from_numpy(events), "counts": torch.from_numpy(self._cast(of_events))}
 
     def _stored(
         self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
@@ -404,23 +495,27 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"counts = {self._counts.name!r}: {most} counts do not fit; use 'int64'")
         return counts.astype(self._counts)
 
-    def _drawn(self, scenes: Sequence[int]) -> dict[str, NDArray[np.generic]]:
+    def _drawn(self, scenes: Sequence[int], draws: Sequence[tuple[int, int]]) -> dict[str, NDArray[np.generic]]:
         """Field → (len(scenes), *shape) counts, of the selected fields whose noise is drawn anew."""
         wanted = [name for name in self.selected if name in self._light]
         if not wanted:
             return {}
-        assert self._noise is not None and self._draws is not None
-        taken, found = self._draws.take(scenes), dict[str, NDArray[np.generic]]()
+        assert self._noise is not None
+        found = dict[str, NDArray[np.generic]]()
         for name in wanted:
             light = self._light[name]
             part, every = self._parts[name], []
-            for transient, scene, draw in zip(self._stored(light, scenes), scenes, taken, strict=True):
+            for transient, scene, draw in zip(self._stored(light, scenes), scenes, draws, strict=True):
                 # Noise is drawn for the whole scan and cut afterwards, so that a part equals that part of the whole.
                 counts = self._noise.draw(light, transient, scene, self.seed, *draw)
                 every.append(counts if part is None else part.cut(counts))
             drawn = np.stack(every)
             found[name] = drawn if name == "histogram" and self._instead else self._cast(drawn)
         return found
+
+
+_OWN_ITEM = TransientDataset.__getitem__
+"""How items are read, unless a subclass or a user has put something in its place."""
 
 
 def _names(fields: object) -> tuple[str, ...]:

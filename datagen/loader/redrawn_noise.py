@@ -1,25 +1,17 @@
-"""Histograms drawn anew from stored transients, and the number of the next draw of each scene."""
+"""Histograms drawn anew from stored transients."""
 
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pydantic
-import torch
-from numba.core import cgutils
-from numba.extending import intrinsic
 from numpy.typing import NDArray
-from torch import distributed
 
-from datagen.compiled import compiled
 from datagen.config import CaptureConfig, DetectorConfig, EffectsConfig
 from datagen.errors import InputError
-from datagen.records.arrays import Ints
 from datagen.seeding import Purpose, seed_sequence
 from datagen.store import Manifest
 from datagen.store.schema import Field
@@ -97,69 +89,3 @@ class NoiseSource:
 def _stored(model: type[Section], values: object) -> Section:
     """A section of the configuration that a dataset stores."""
     return model.model_validate_json(json.dumps(values), context={"look_for_files": False})
-
-
-class DrawCounter:
-    """Counts the draws of each scene. `take` returns the number of the next draw and raises it, `fix` sets it.
-
-    Each scene has a count of its own, because a dataset does not know when an epoch begins: wrappers, samplers and
-    workers only pass indices. The number of a draw depends on how often the scene was read, and not on workers,
-    prefetching or the order of scenes.
-
-    The processes of distributed training count separately, and read the same scene in turns. So each process draws
-    from a stream of its own, except for the first read after `fix`, when the number is the same in all of them.
-    """
-
-    def __init__(self, scenes: int) -> None:
-        self._rank: int | None = None
-        # (2, scene): number of the next draw, and the number that `fix` set last.
-        state: Any = torch.tensor([[0], [-1]]).repeat(1, scenes)
-        self._state: torch.Tensor = state.share_memory_()
-        # Compiled here, once, before workers are forked.
-        self.take(())
-
-    def fix(self, epoch: int, scenes: Ints) -> None:
-        """Make the next read of each of these scenes draw number `epoch`; later reads count on from there."""
-        if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
-            raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
-        self._state[:, torch.from_numpy(scenes)] = int(epoch)
-
-    def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
-        """(number, stream) of the next draw of each scene of a batch; later reads get other numbers."""
-        rank, (following, fixed) = self._own_rank(), self._state.numpy()
-        wanted = np.array(scenes, np.int64)
-        draws = zip(_taken(following, wanted).tolist(), fixed[wanted].tolist(), strict=True)
-        # Streams 1 and 2 belong to the order of epochs and to splits.
-        return [(draw, 0 if draw == first or rank == 0 else rank + 2) for draw, first in draws]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """The state with the rank of this process, which a spawned worker takes over."""
-        return self.__dict__ | {"_rank": self._own_rank()}
-
-    def _own_rank(self) -> int:
-        if distributed.is_available() and distributed.is_initialized():
-            return distributed.get_rank()
-        launched = os.environ.get("RANK", "")
-        return self._rank or (int(launched) if launched.isdigit() else 0)
-
-
-@intrinsic
-def _raised(typing: Any, counts: Any, place: Any) -> Any:
-    """counts[place], which is raised by one at the same moment: no other process can read it in between."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array = context.make_array(counts)(context, builder, arguments[0])
-        at: Any = cgutils.get_item_pointer
-        number = at(context, builder, counts, array, [arguments[1]])
-        return builder.atomic_rmw("add", number, context.get_constant(counts.dtype, 1), "seq_cst")
-
-    return counts.dtype(counts, place), code
-
-
-@compiled()
-def _taken(counts: Ints, places: Ints) -> Ints:
-    """(n,) counts at these places, each of which is raised by one."""
-    taken = np.empty(len(places), np.int64)
-    for i in range(len(places)):
-        taken[i] = _raised(counts, places[i])  # type: ignore[call-arg]
-    return taken

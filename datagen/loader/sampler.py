@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator, Mapping, Sized
+from typing import Any
 
 import numpy as np
-from torch.utils.data import ConcatDataset, Sampler, Subset
+from torch.utils.data import Sampler
 
 from datagen.errors import InputError
-from datagen.loader.dataset import TransientDataset
-from datagen.records.arrays import Ints
+from datagen.loader.joined import Found, check_joined, datasets_of
 from datagen.records.checks import check_flag, check_integer, check_kind, check_seed
 from datagen.seeding import Purpose, generator
+
+UNKNOWN = 2**20
+"""Repeats of a scene that each rank has for itself where a user's dataset hides which scenes it reads."""
 
 
 class EpochSampler(Sampler[int]):
@@ -20,9 +23,18 @@ class EpochSampler(Sampler[int]):
     `rank` is the index of this process. All processes get the same number of items: if the items do not divide
     evenly, some come twice. Every iteration is the next epoch; the first one is 0, or the one that `set_epoch` names.
 
-    When an epoch begins, the redrawn noise of the items becomes a function of (seed of the dataset, epoch, scene),
-    also through `Subset` (`random_split`) and `ConcatDataset`. So a run can be repeated bit for bit from any epoch
-    on, with any number of workers and ranks.
+    When an epoch begins, the redrawn noise of the items becomes a function of (seed of the dataset, epoch, scene, how
+    often the scene came before in this epoch), also through `Subset` (`random_split`), `ConcatDataset` and datasets
+    that wrap another. So a run can be repeated bit for bit from any epoch and item on, with any number of workers and
+    ranks; only of a scene that comes several times in an epoch, two workers or ranks may exchange draws.
+
+    A run that was stopped goes on by `load_state_dict`, or `set_epoch` with the number of items that were done
+    (docs/resuming.md).
+
+    Raises
+    ------
+    InputError : a rank that is none; datasets that are joined by `ConcatDataset` and differ in fields, shapes, units
+        or bins.
     """
 
     def __init__(self, data: Sized, seed: int = 0, *, shuffle: bool = True, rank: int = 0, ranks: int = 1) -> None:
@@ -33,37 +45,124 @@ class EpochSampler(Sampler[int]):
         check_integer("EpochSampler", "rank", rank, -(2**31), 2**31)
         if ranks < 1 or not 0 <= rank < ranks:
             raise InputError(f"rank = {rank}, ranks = {ranks}: rank must lie in 0 … ranks − 1")
+        check_joined(data)
         self._data, self._seed, self._shuffle = data, seed, shuffle
-        self._rank, self._ranks, self._epoch = rank, ranks, 0
+        self._rank, self._ranks = rank, ranks
+        # The epoch that the next iteration hands out, and how many of its items it leaves out.
+        self._epoch, self._done = 0, 0
+        # Whether `set_epoch` or `load_state_dict` named them; the iteration that is under way, if any.
+        self._is_told = False
+        self._running: _Epoch | None = None
+        for found in datasets_of(data, np.arange(0)):
+            found.draws.separate()
 
-    def set_epoch(self, epoch: int) -> None:
-        """Set the number of the next epoch; later epochs count on from it."""
+    def set_epoch(self, epoch: int, done: int | None = None) -> None:
+        """Set the number of the next epoch; later epochs count on from it.
+
+        done : number of items of this process that are left out at its start, because they were done before a stop.
+            None: none, or those of a state that was loaded, if that is of the same epoch.
+        """
         check_integer("EpochSampler", "epoch", epoch, 0, 2**62)
-        self._epoch = epoch
+        if done is None:
+            done = self._done if epoch == self._epoch and self._is_told else 0
+        check_integer("EpochSampler", "done", done, 0, len(self))
+        self._epoch, self._done, self._is_told, self._running = int(epoch), int(done), True, None
+
+    def state_dict(self, done: int | None = None) -> dict[str, int]:
+        """Where the order stands: `epoch`, and `done`, the number of its items that this process was handed.
+
+        done : the number of items that were used, if a loader has fetched ahead.
+        """
+        epoch, handed = (self._epoch, self._done) if self._running is None else self._running.place
+        return {"epoch": epoch, "done": handed if done is None else int(done)}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Make the next iteration go on from a state that `state_dict` returned, here or in another run."""
+        check_kind("load_state_dict", state, Mapping, remedy="what state_dict of an EpochSampler returned")
+        if not {"epoch", "done"} <= state.keys():
+            raise InputError(
+                "load_state_dict: has no epoch and done; give it what state_dict of an EpochSampler returned"
+            )
+        self.set_epoch(state["epoch"], state["done"])
 
     def __len__(self) -> int:
         return -(-len(self._data) // self._ranks)
 
     def __iter__(self) -> Iterator[int]:
-        # A generator runs nothing before its first item is requested. Until then workers may still be reading for the
-        # epoch before, whose noise must not change.
-        epoch, self._epoch = self._epoch, self._epoch + 1
+        return _Epoch(self)
+
+    def begin(self, iteration: _Epoch) -> tuple[int, int, list[int]]:
+        """Begin the next epoch: its number, how many of its items are left out, and all items of this process."""
+        epoch, done = self._epoch, self._done
         order = np.arange(len(self._data))
-        _fix_noise(self._data, epoch, order)
         if self._shuffle:
             order = generator(self._seed, epoch, Purpose.LOADER, part=1).permutation(order)
         dealt = np.resize(order, len(self) * self._ranks)
-        yield from dealt[self._rank :: self._ranks].tolist()
+        for found in datasets_of(self._data, dealt):
+            self._begin_noise(found, epoch, done)
+        self._epoch, self._done, self._is_told, self._running = epoch + 1, 0, False, iteration
+        return epoch, done, dealt[self._rank :: self._ranks].tolist()
+
+    def end(self, iteration: _Epoch) -> None:
+        """End an iteration, after which the next epoch is due."""
+        if self._running is iteration:
+            self._running = None
+
+    def _begin_noise(self, found: Found, epoch: int, done: int) -> None:
+        """Tell a dataset which repeats of its scenes this process is to draw."""
+        draws = found.draws
+        if draws.loaded_epoch not in (None, epoch, epoch - 1) and not self._is_told:
+            raise InputError(
+                f"EpochSampler: begins epoch {epoch}, but the state that its dataset loaded is of epoch "
+                f"{draws.loaded_epoch}; call set_epoch({draws.loaded_epoch}, done=…), or give the loader sampler= "
+                "and not batch_sampler= (docs/resuming.md)"
+            )
+        rank = self._rank if self._ranks > 1 else draws.rank
+        if found.hidden is not None:
+            draws.begin_epoch(epoch, found.hidden, np.full(len(found.hidden), rank * UNKNOWN + done))
+            return
+        number, scenes = found.scenes.max(initial=-1) + 1, found.scenes
+        of_rank = found.positions % self._ranks
+        before = scenes[(of_rank < self._rank) | ((of_rank == self._rank) & (found.positions // self._ranks < done))]
+        repeats = np.bincount(before, minlength=number)
+        if self._ranks == 1 and rank:
+            # Whoever deals out this order to processes, as Accelerate does, is not known here: of scenes that come
+            # several times each process has repeats of its own.
+            times = np.bincount(scenes, minlength=number)
+            repeats += np.where(times > 1, rank * times, 0)
+        own = np.unique(scenes[of_rank == self._rank])
+        draws.begin_epoch(epoch, own, repeats[own])
 
 
-def _fix_noise(data: object, epoch: int, items: Ints) -> None:
-    """Call `set_epoch` of the datasets that `data` is made of, for the scenes of these items."""
-    if isinstance(data, TransientDataset):
-        data.set_epoch(epoch, items.tolist())
-    elif isinstance(data, Subset):
-        _fix_noise(data.dataset, epoch, np.asarray(data.indices, np.int64)[items])
-    elif isinstance(data, ConcatDataset):
-        ends = np.asarray(data.cumulative_sizes)
-        for part, dataset in enumerate(data.datasets):
-            begin = ends[part - 1] if part else 0
-            _fix_noise(dataset, epoch, items[(items >= begin) & (items < ends[part])] - begin)
+class _Epoch(Iterator[int]):
+    """The items of one epoch, from where the sampler stands when the first one is asked for. Until then workers may
+    still be reading for the epoch before, whose noise must not change.
+
+    torchdata's `StatefulDataLoader` saves and loads its state.
+    """
+
+    def __init__(self, sampler: EpochSampler) -> None:
+        self._sampler = sampler
+        self._items: list[int] | None = None
+        self.place = 0, 0
+
+    def __next__(self) -> int:
+        if self._items is None:
+            epoch, done, self._items = self._sampler.begin(self)
+            self.place = epoch, done
+        epoch, done = self.place
+        if done >= len(self._items):
+            self._sampler.end(self)
+            raise StopIteration
+        self.place = epoch, done + 1
+        return self._items[done]
+
+    def state_dict(self) -> dict[str, int]:
+        """`epoch` and `done`, the number of items handed out."""
+        epoch, done = self.place
+        return self._sampler.state_dict() if self._items is None else {"epoch": epoch, "done": done}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go on from a state."""
+        self._items = None
+        self._sampler.load_state_dict(state)

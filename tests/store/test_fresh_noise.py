@@ -32,7 +32,7 @@ from torch.utils.data import (
 
 from datagen.errors import InputError
 from datagen.loader import EpochSampler, TransientDataset, collate
-from datagen.loader.redrawn_noise import DrawCounter
+from datagen.loader.draw_counter import DrawCounter
 from datagen.seeding import Purpose, generator
 
 Noise = dict[int, torch.Tensor]

@@ -1,0 +1,118 @@
+"""The datasets that `Subset`, `ConcatDataset` and datasets of users are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from torch.utils.data import ConcatDataset, Dataset, Subset
+
+from datagen.errors import InputError
+from datagen.loader.dataset import TransientDataset
+from datagen.loader.draw_counter import DrawCounter
+from datagen.records.arrays import Ints
+
+
+@dataclass(frozen=True)
+class Found:
+    """The scenes that some items read from a dataset whose noise is drawn anew.
+
+    positions : (n,) places of these items among those given. scenes : (n,) the scene that each reads.
+    hidden : scenes that a dataset of a user's, which has another length, reads in a way of its own; else None.
+    """
+
+    draws: DrawCounter
+    positions: Ints
+    scenes: Ints
+    hidden: Ints | None = None
+
+
+def datasets_of(data: object, items: Ints) -> list[Found]:
+    """What `items` of `data` read, for each dataset whose noise is drawn anew, once for all its places in `data`."""
+    by_counter: dict[int, list[Found]] = {}
+    for one in _found(data, np.arange(len(items)), items, ()):
+        by_counter.setdefault(id(one.draws), []).append(one)
+    merged = []
+    for several in by_counter.values():
+        hidden = [one.hidden for one in several if one.hidden is not None]
+        positions = np.concatenate([one.positions for one in several])
+        scenes = np.concatenate([one.scenes for one in several])
+        merged.append(
+            Found(several[0].draws, positions, scenes, np.unique(np.concatenate(hidden)) if hidden else None)
+        )
+    return merged
+
+
+def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) -> Iterator[Found]:
+    if id(data) in within:
+        return
+    within = (*within, id(data))
+    if isinstance(data, TransientDataset):
+        if data.draws is not None:
+            yield Found(data.draws, positions, data.scenes[items])
+    elif isinstance(data, Subset):
+        yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
+    elif isinstance(data, ConcatDataset):
+        ends = np.asarray(data.cumulative_sizes)
+        for part, dataset in enumerate(data.datasets):
+            begin = ends[part - 1] if part else 0
+            here = (items >= begin) & (items < ends[part])
+            yield from _found(dataset, positions[here], items[here] - begin, within)
+    else:
+        for dataset in _parts_of(data):
+            if _size(dataset) == _size(data):
+                # A dataset of the same length reads the same items, as wrappers do that change what is read.
+                yield from _found(dataset, positions, items, within)
+            else:
+                for one in _found(dataset, np.arange(_size(dataset)), np.arange(_size(dataset)), within):
+                    yield Found(one.draws, positions[:0], one.scenes[:0], np.unique(one.scenes))
+
+
+def _parts_of(data: object) -> Iterator[Any]:
+    """The datasets among the attributes of an object, and in the lists and mappings there, each once."""
+    seen = set[int]()
+    for value in vars(data).values() if hasattr(data, "__dict__") else ():
+        several = list(value.values()) if isinstance(value, Mapping) else value
+        for one in several if isinstance(several, list | tuple) else (several,):
+            if isinstance(one, Dataset) and hasattr(one, "__len__") and id(one) not in seen:
+                seen.add(id(one))
+                yield one
+
+
+def _size(data: Any) -> int:
+    return len(data)
+
+
+def check_joined(data: object) -> None:
+    """Raise `InputError` if datasets that `ConcatDataset` joins differ in their fields, shapes, units or bins.
+
+    Datasets of users, subclasses, and datasets with a transform may convert what they read, and are left alone.
+    """
+    if isinstance(data, Subset):
+        check_joined(data.dataset)
+    if not isinstance(data, ConcatDataset):
+        return
+    for dataset in data.datasets:
+        check_joined(dataset)
+    plain = [one for dataset in data.datasets for one in _plain(dataset)]
+    for other in plain[1:]:
+        for what, here in other.layout().items():
+            first = plain[0].layout().get(what)
+            if here != first:
+                raise InputError(
+                    f"ConcatDataset: {what} of {other.path} is {here or 'missing'}, that of {plain[0].path} is "
+                    f"{first or 'missing'}; choose the same fields and parts, or convert with transform="
+                )
+
+
+def _plain(data: object) -> Iterator[TransientDataset]:
+    """The datasets whose items come through `Subset` and `ConcatDataset` as they were stored."""
+    if isinstance(data, Subset):
+        yield from _plain(data.dataset)
+    elif isinstance(data, ConcatDataset):
+        for dataset in data.datasets:
+            yield from _plain(dataset)
+    elif isinstance(data, TransientDataset) and data.gives_stored_items:
+        yield data
