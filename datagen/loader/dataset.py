@@ -280,11 +280,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if self._draws is not None:
             self._draws.load_state_dict(state.get("draws", {}))
 
-    @property
-    def draws(self) -> DrawCounter | None:
-        """The number of the next draw of each scene, which `EpochSampler` sets; None without `redraw_noise`."""
-        return self._draws
-
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of a field of an item."""
         if field == "volume" and self._volumes is not None:

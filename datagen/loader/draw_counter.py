@@ -225,4 +225,4 @@ def _merge(counts: Ints, begin: Ints, reads: Ints) -> None:
     """
     for i in range(len(begin)):
         _raised_to(counts, i, begin[i])  # type: ignore[call-arg]
-        _raised(counts, i, reads[i])  # type: ignore[call-arg]
+        _raised(counts, i, reads[i])

@@ -50,8 +50,8 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
         return
     within = (*within, id(data))
     if isinstance(data, TransientDataset):
-        if data.draws is not None:
-            yield Found(data.draws, positions, data.scenes[items])
+        if data._draws is not None:
+            yield Found(data._draws, positions, data.scenes[items])
     elif isinstance(data, Subset):
         yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):

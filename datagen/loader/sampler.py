@@ -91,7 +91,7 @@ class EpochSampler(Sampler[int]):
     def __iter__(self) -> Iterator[int]:
         return _Epoch(self)
 
-    def begin(self, iteration: _Epoch) -> tuple[int, int, list[int]]:
+    def _begin(self, iteration: _Epoch) -> tuple[int, int, list[int]]:
         """Begin the next epoch: its number, how many of its items are left out, and all items of this process."""
         epoch, done = self._epoch, self._done
         order = np.arange(len(self._data))
@@ -103,7 +103,7 @@ class EpochSampler(Sampler[int]):
         self._epoch, self._done, self._is_told, self._running = epoch + 1, 0, False, iteration
         return epoch, done, dealt[self._rank :: self._ranks].tolist()
 
-    def end(self, iteration: _Epoch) -> None:
+    def _end(self, iteration: _Epoch) -> None:
         """End an iteration, after which the next epoch is due."""
         if self._running is iteration:
             self._running = None
@@ -148,11 +148,11 @@ class _Epoch(Iterator[int]):
 
     def __next__(self) -> int:
         if self._items is None:
-            epoch, done, self._items = self._sampler.begin(self)
+            epoch, done, self._items = self._sampler._begin(self)
             self.place = epoch, done
         epoch, done = self.place
         if done >= len(self._items):
-            self._sampler.end(self)
+            self._sampler._end(self)
             raise StopIteration
         self.place = epoch, done + 1
         return self._items[done]
