@@ -232,7 +232,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         # What a subclass or a transform makes of an item happens to each item. A worker sends items from a thread
         # that may not fail, so that they are read before.
         if not self.gives_stored_items or get_worker_info() is not None:
-            return [self[item] for item in items]
+            # A class with ways of its own to read one and several gets from here what it changes in either.
+            plain = _defines(self, "__getitem__") is _defines(self, "__getitems__") is not TransientDataset
+            return [_OWN_ITEM(self, item) if plain else self[item] for item in items]
         scenes = [self._scene_of(item) for item in items]
         draws = self._draws_of(scenes)
         return Batch(
@@ -511,6 +513,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
 _OWN_ITEM = TransientDataset.__getitem__
 """How items are read, unless a subclass or a user has put something in its place."""
+
+
+def _defines(data: object, method: str) -> type:
+    """The class that defines a method of an object."""
+    return next(one for one in type(data).__mro__ if method in vars(one))
 
 
 def _names(fields: object) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,12 +21,14 @@ class Found:
 
     positions : (n,) places of these items among those given. scenes : (n,) the scene that each reads.
     hidden : scenes that a dataset of a user's, which has another length, reads in a way of its own; else None.
+    is_once : whether each item is one read; a class of a user's may read a scene several times for an item.
     """
 
     draws: DrawCounter
     positions: Ints
     scenes: Ints
     hidden: Ints | None = None
+    is_once: bool = True
 
 
 def datasets_of(data: object, items: Ints) -> list[Found]:
@@ -39,9 +41,8 @@ def datasets_of(data: object, items: Ints) -> list[Found]:
         hidden = [one.hidden for one in several if one.hidden is not None]
         positions = np.concatenate([one.positions for one in several])
         scenes = np.concatenate([one.scenes for one in several])
-        merged.append(
-            Found(several[0].draws, positions, scenes, np.unique(np.concatenate(hidden)) if hidden else None)
-        )
+        unknown = np.unique(np.concatenate(hidden)) if hidden else None
+        merged.append(Found(several[0].draws, positions, scenes, unknown, all(one.is_once for one in several)))
     return merged
 
 
@@ -51,7 +52,8 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
     within = (*within, id(data))
     if isinstance(data, TransientDataset):
         if data._draws is not None:
-            yield Found(data._draws, positions, data.scenes[items])
+            is_once = type(data).__getitem__ is TransientDataset.__getitem__
+            yield Found(data._draws, positions, data.scenes[items], is_once=is_once)
     elif isinstance(data, Subset):
         yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):
@@ -64,7 +66,8 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
         for dataset in _parts_of(data):
             if _size(dataset) == _size(data):
                 # A dataset of the same length reads the same items, as wrappers do that change what is read.
-                yield from _found(dataset, positions, items, within)
+                for one in _found(dataset, positions, items, within):
+                    yield replace(one, is_once=False)
             else:
                 for one in _found(dataset, np.arange(_size(dataset)), np.arange(_size(dataset)), within):
                     yield Found(one.draws, positions[:0], one.scenes[:0], np.unique(one.scenes))

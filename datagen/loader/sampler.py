@@ -14,7 +14,8 @@ from datagen.records.checks import check_flag, check_integer, check_kind, check_
 from datagen.seeding import Purpose, generator
 
 UNKNOWN = 2**20
-"""Repeats of a scene that each rank has for itself where a user's dataset hides which scenes it reads."""
+"""Repeats of a scene that each rank has for itself where a user's dataset hides which scenes it reads, or how
+often."""
 
 
 class EpochSampler(Sampler[int]):
@@ -123,8 +124,11 @@ class EpochSampler(Sampler[int]):
             return
         number, scenes = found.scenes.max(initial=-1) + 1, found.scenes
         of_rank = found.positions % self._ranks
-        before = scenes[(of_rank < self._rank) | ((of_rank == self._rank) & (found.positions // self._ranks < done))]
-        repeats = np.bincount(before, minlength=number)
+        elsewhere = np.bincount(scenes[of_rank < self._rank], minlength=number)
+        here = np.bincount(
+            scenes[(of_rank == self._rank) & (found.positions // self._ranks < done)], minlength=number
+        )
+        repeats = here + (elsewhere if found.is_once else np.where(elsewhere > 0, rank * UNKNOWN, 0))
         if self._ranks == 1 and rank:
             # Whoever deals out this order to processes, as Accelerate does, is not known here: of scenes that come
             # several times each process has repeats of its own.

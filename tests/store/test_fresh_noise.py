@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import itertools
 import multiprocessing
 import os
 import pickle
+import tempfile
 import tracemalloc
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 import torch
 from datasets import write_dataset
 from fake_samples import fake_sample, noisy_config
 from torch.utils.data import (
+    BatchSampler,
     ConcatDataset,
     DataLoader,
     Dataset,
@@ -239,6 +243,178 @@ def test_no_two_processes_get_the_same_draw() -> None:
     for process in both:
         process.join()
     assert draws.take([0, 1, 2]) == [(0, 0), (2 * times, 0), (0, 0)]
+
+
+def saved(data: TransientDataset, **options: Any) -> TransientDataset:
+    with tempfile.TemporaryDirectory() as folder:
+        torch.save(data, path := Path(folder) / "data.pt")
+        found: TransientDataset = torch.load(path, weights_only=False, **options)
+    return found
+
+
+COPIES: dict[str, Callable[[TransientDataset], TransientDataset]] = {
+    "pickle": lambda data: pickle.loads(pickle.dumps(data)),
+    "an old pickle": lambda data: pickle.loads(pickle.dumps(data, protocol=2)),
+    "deepcopy": copy.deepcopy,
+    "copy": copy.copy,
+    "cloudpickle": lambda data: pickle.loads(cloudpickle.dumps(data)),
+    "torch.save": saved,
+    "torch.load of a map": lambda data: saved(data, mmap=True),
+    "a copy of a copy": lambda data: copy.deepcopy(pickle.loads(pickle.dumps(data))),
+    "in a container": lambda data: copy.deepcopy([Subset(data, range(12))])[0].dataset,  # type: ignore[return-value]
+}
+
+
+@pytest.mark.parametrize("workers", [{}, FORK, FORK | {"persistent_workers": True}], ids=["none", "2", "persistent"])
+@pytest.mark.parametrize("copied", COPIES)
+def test_a_copy_has_new_noise_at_every_read(
+    data: TransientDataset, dataset: Path, copied: str, workers: dict[str, Any]
+) -> None:
+    """It goes on from where the original stood. One that is no shallow copy counts for itself."""
+    data[5]
+    again = COPIES[copied](data)
+    loader = DataLoader(again, 5, **workers)
+    epochs = [epoch_of(loader) for _ in range(3)]
+    assert all_new([draws_of(dataset, 0), *epochs[1:]])
+    assert all(torch.equal(epochs[k][5], draws_of(dataset, k + 1)[5]) for k in range(3))
+    assert all(torch.equal(epochs[k][6], draws_of(dataset, k)[6]) for k in range(3))
+    four = DataLoader(again, 1, sampler=[3] * 4, **workers)
+    assert len({batch["histogram"].numpy().tobytes() for batch in four}) == 4
+    assert torch.equal(data[5]["histogram"], draws_of(dataset, 4 if copied == "copy" else 1)[5])
+
+
+def test_values_are_checked_once_for_all_workers_of_a_copy(data: TransientDataset) -> None:
+    again = pickle.loads(pickle.dumps(data))
+    list(DataLoader(again, 3, **FORK))
+    assert all(seen.all() and seen.is_shared() for seen in again._seen.values())
+
+
+class Often(Dataset[dict[str, torch.Tensor]]):
+    """Every item three times, which nobody outside can know."""
+
+    def __init__(self, data: TransientDataset) -> None:
+        self.data = data
+
+    def __len__(self) -> int:
+        return 3 * len(self.data)
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        return self.data[item % len(self.data)]
+
+
+class TwoViews(Augmented):
+    """A pair of views of each scene, side by side."""
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        pair = [self.data[item]["histogram"] for _ in range(2)]
+        return {"scene": torch.tensor([item, item]), "histogram": torch.stack(pair)}
+
+
+REPEATED: dict[str, tuple[Callable[[TransientDataset], Any], int]] = {
+    "joined with itself": (lambda data: ConcatDataset([data] * 4), 48),
+    "several times in a part": (lambda data: Subset(data, [3, 3, 5, 3, -1, 11]), 6),
+    "parts that overlap": (
+        lambda data: ConcatDataset([Subset(data, range(8)), Augmented(data), Subset(data, [0, 0])]),
+        22,
+    ),
+    "a wrapper": (Often, 36),
+    "two views": (TwoViews, 24),
+    "a shallow copy beside it": (lambda data: ConcatDataset([data, copy.copy(data)]), 24),
+}
+"""A dataset that reads scenes several times in an epoch, and how many reads that are."""
+
+
+def reads_of(loader: Iterable[dict[str, torch.Tensor]]) -> list[tuple[int, bytes]]:
+    """Scene and counts of every read."""
+    return [
+        (int(scene), counts.numpy().tobytes())
+        for batch in loader
+        for scene, counts in zip(batch["scene"].flatten(), batch["histogram"].flatten(0, -4), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("workers", [{}, FORK], ids=["none", "2"])
+@pytest.mark.parametrize("way", REPEATED)
+def test_every_read_of_an_epoch_has_a_draw_of_its_own(dataset: Path, way: str, workers: dict[str, Any]) -> None:
+    """The first is the epoch's; an epoch's draws are the same in every run, whoever read them."""
+
+    def run(begin: int, epochs: int, **options: Any) -> list[set[tuple[int, bytes]]]:
+        often = REPEATED[way][0](TransientDataset(dataset, ("histogram",), redraw_noise=True))
+        order = EpochSampler(often, seed=1)
+        order.set_epoch(begin)
+        loader = DataLoader(often, 4, sampler=order, **options)
+        return [set(reads_of(loader)) for _ in range(epochs)]
+
+    found = run(0, 3, **workers)
+    assert len(set().union(*found)) == 3 * REPEATED[way][1]
+    for epoch, draws in enumerate(found):
+        due = {(scene, counts.numpy().tobytes()) for scene, counts in draws_of(dataset, epoch).items()}
+        assert due & draws == {(scene, counts) for scene, counts in due if scene in {scene for scene, _ in draws}}
+    assert run(2, 1) == found[2:]
+
+
+@pytest.mark.parametrize("ranks", [2, 3, 5])
+@pytest.mark.parametrize("way", REPEATED)
+def test_ranks_share_the_draws_of_an_epoch(dataset: Path, way: str, ranks: int) -> None:
+    """Items that come twice because they do not divide evenly have draws of their own, too. Ranks take turns here."""
+    draws, reads = set[tuple[int, bytes]](), 0
+    loaders = []
+    for rank in range(ranks):
+        often = REPEATED[way][0](TransientDataset(dataset, ("histogram",), redraw_noise=True))
+        loaders.append(DataLoader(often, 3, sampler=EpochSampler(often, rank=rank, ranks=ranks)))
+    for _ in range(2):
+        shares = [reads_of(loader) for loader in loaders]
+        assert len({len(share) for share in shares}) == 1
+        draws, reads = draws.union(*map(set, shares)), reads + sum(map(len, shares))
+    assert len(draws) == reads
+    if way in ("joined with itself", "several times in a part", "a shallow copy beside it"):
+        often = REPEATED[way][0](TransientDataset(dataset, ("histogram",), redraw_noise=True))
+        alone = DataLoader(often, 3, sampler=EpochSampler(often))
+        assert set(reads_of(alone)) | set(reads_of(alone)) <= draws, (
+            "those of one process, and what fills up the ranks"
+        )
+
+
+def test_processes_that_others_deal_out_have_draws_of_their_own(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Accelerate does with the order of one process: every second batch."""
+    draws, reads = set(), 0
+    for rank in range(2):
+        monkeypatch.setenv("RANK", str(rank))
+        often = ConcatDataset([TransientDataset(dataset, ("histogram",), redraw_noise=True)] * 3)
+        batches = [*BatchSampler(EpochSampler(often), 2, False)][rank::2]
+        found = reads_of(DataLoader(often, batch_sampler=batches))
+        draws, reads = draws | {*found}, reads + len(found)
+    assert len(draws) == reads == 36
+
+
+def rank_trains(data: TransientDataset, rank: int, step: Any, out: Any) -> None:
+    """Epochs of a rank, which begin when `step` says so."""
+    loader = DataLoader(data, 3, sampler=EpochSampler(data, rank=rank, ranks=2))
+    for _ in range(2):
+        step[rank].get()
+        out.put((rank, reads_of(loader)))
+
+
+def test_processes_that_are_sent_a_dataset_have_epochs_of_their_own(dataset: Path) -> None:
+    """One rank begins its second epoch before the other begins the first."""
+    context = multiprocessing.get_context("fork")
+    data = TransientDataset(dataset, ("histogram",), redraw_noise=True)
+    step, out = [context.Queue() for _ in range(2)], context.Queue()
+    both = [context.Process(target=rank_trains, args=(data, rank, step, out)) for rank in range(2)]
+    for process in both:
+        process.start()
+    found: dict[int, list[Any]] = {0: [], 1: []}
+    for turn in (1, 1, 0, 0):
+        step[turn].put(None)
+        rank, reads = out.get(timeout=60)
+        found[rank].append(reads)
+    for process in both:
+        process.join()
+    for epoch in range(2):
+        due = {(scene, counts.numpy().tobytes()) for scene, counts in draws_of(dataset, epoch).items()}
+        assert {*found[0][epoch], *found[1][epoch]} == due
 
 
 def test_memory_is_flat_over_epochs(tmp_path: Path) -> None:
