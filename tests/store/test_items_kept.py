@@ -208,7 +208,9 @@ def test_nothing_in_a_list_is_passed_by_without_a_look() -> None:
         assert look(Batch(lambda: list(items), dict)) == look(list(items))  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("option", [{}, {"representation": "events"}, {"transform": doubled}], ids=str)
+@pytest.mark.parametrize(
+    "option", [{}, {"representation": "events"}, {"transform": doubled}], ids=["whole", "events", "transform"]
+)
 def test_an_item_is_saved_as_one_item(option: Any, tmp_path: Path) -> None:
     data = dg.TransientDataset(
         write_dataset(
