@@ -319,17 +319,17 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
 
     Raises `InputError` for datasets without histograms, of other shapes or times, or with no scene in common.
     """
-    pair = [Scenes(recorded), Scenes(simulated)]
-    common = sorted(set(pair[0].made()) & set(pair[1].made()))
-    for dataset in pair:
+    ours, theirs = Scenes(recorded), Scenes(simulated)
+    common = sorted(set(ours.made()) & set(theirs.made()))
+    for dataset in (ours, theirs):
         if "histogram" not in dataset.manifest.schema.by_name:
             raise InputError(f"{dataset.root}: has no field histogram; build it with histogram in store.fields")
-    _check_alike(*(dataset.manifest for dataset in pair), f"{recorded} and {simulated}")
+    _check_alike(ours.manifest, theirs.manifest, f"{recorded} and {simulated}")
     if not common:
         raise InputError(f"{recorded} and {simulated}: have no scene in common; number scenes alike")
     stacks = [
         np.stack([np.asarray(dataset.read(index).arrays["histogram"], np.float64) for index in common])
-        for dataset in pair
+        for dataset in (ours, theirs)
     ]
     if stacks[0].shape != stacks[1].shape:
         shapes = " and ".join(str(stack.shape[1:]) for stack in stacks)
