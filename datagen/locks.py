@@ -15,6 +15,8 @@ from pathlib import Path
 PULSE_S = 5.0
 """Seconds between two signs of life of a process that has locked a file: a file system that a thousand workers share
 has to answer two hundred of them a second."""
+LOOK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+"""How a file is opened that somebody may have locked: opening a pipe in its place does not wait for a writer."""
 
 
 def locked(handle: int, otherwise: bool) -> bool:
@@ -56,16 +58,22 @@ def lock_file(path: Path) -> int | None:
 def holder_of(path: Path) -> str:
     """Who has locked a file, in words."""
     try:
-        return path.read_bytes()[:200].decode() or "somebody"
+        handle = os.open(path, LOOK)
+    except OSError:
+        return "somebody"
+    try:
+        return os.read(handle, 200).decode() or "somebody"
     except (OSError, UnicodeDecodeError):
         return "somebody"
+    finally:
+        os.close(handle)
 
 
 def sign_of_life(path: Path) -> int:
     """A number that changes as long as whoever has locked a file is at work; 0 if there is no file."""
     try:
         # Network file systems tell the time anew when a file is opened.
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+        handle = os.open(path, LOOK)
     except OSError:
         return 0
     try:

@@ -22,6 +22,7 @@ from datagen.cli import run
 from datagen.config import config_from_mapping
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
+from datagen.locks import holder_of, sign_of_life
 from datagen.store import verify
 from datagen.store.info import info
 from datagen.untrusted import content_of, opened, read_npy, read_npz, read_records, read_text
@@ -167,6 +168,15 @@ def test_every_file_of_a_dataset(tmp_path: Path, make: Callable[[Path], None]) -
         path.unlink()
         kept.rename(path)
     assert verify(root, deep=True).problems == ()
+
+
+@pytest.mark.parametrize("make", KINDS)
+def test_who_has_locked_it(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    """A build that looks at the lock of a shard does not wait for what is in its place."""
+    make(tmp_path / "shard.running")
+    with soon():
+        assert holder_of(tmp_path / "shard.running") == "somebody"
+        sign_of_life(tmp_path / "shard.running")
 
 
 UNGUARDED = {

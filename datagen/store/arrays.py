@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
@@ -41,12 +41,23 @@ def metadata_files(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, 
         _create(group, field, schema)
     for name, time in axes.items():
         _create_arrival_times(group, name, time)
-    with warnings.catch_warnings():
-        # Consolidated metadata are no part of the standard yet, hence the warning. Readers that know them open the
-        # group in one read, others ignore them.
-        warnings.filterwarnings("ignore", "Consolidated metadata", UserWarning)
-        zarr.consolidate_metadata(store)
-    return {f"{GROUP}/{key}": store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
+    files = {key: store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
+    return {f"{GROUP}/{key}": content for key, content in (files | _consolidated(files)).items()}
+
+
+def _consolidated(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The group's `zarr.json` with the metadata of all arrays in it. Readers that know these open the group in one
+    read, others ignore them.
+
+    `zarr.consolidate_metadata` writes the same bytes and warns that they are no part of the standard yet; Python's
+    filters of warnings belong to the whole process, so no thread can silence that for itself.
+    """
+    arrays = {key.removesuffix("/zarr.json"): json.loads(files[key]) for key in files if key.endswith("/zarr.json")}
+    group = json.loads(files["zarr.json"])
+    kind = group.pop("node_type")
+    group["consolidated_metadata"] = {"kind": "inline", "must_understand": False, "metadata": arrays}
+    group["node_type"] = kind
+    return {"zarr.json": json.dumps(group, indent=zarr.config.get("json_indent")).encode()}
 
 
 def coordinates(axes: Iterable[str]) -> tuple[str, ...]:

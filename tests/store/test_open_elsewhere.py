@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import warnings
 from pathlib import Path
 from typing import Any, get_args
@@ -66,6 +67,17 @@ def test_a_name_of_an_axis_has_one_size() -> None:
                 sizes.setdefault(name, set()).add(size)
         assert all(len(of) == 1 for of in sizes.values()), (config.name, sizes)
         assert not sizes.keys() & schema.by_name.keys(), "a field of many axes is no coordinate"
+
+
+def test_a_group_is_opened_in_one_read(dataset: Path) -> None:
+    """The group's metadata hold those of all arrays, as zarr itself would write them."""
+    ours = dataset / "data.zarr/zarr.json"
+    theirs = shutil.copytree(dataset, dataset.with_name("theirs"), dirs_exist_ok=True) / "data.zarr/zarr.json"
+    with pytest.warns(UserWarning, match="not part in the Zarr format 3 specification"):
+        zarr.consolidate_metadata(theirs.parent)
+    assert json.loads(ours.read_bytes()) == json.loads(theirs.read_bytes())
+    named = {name for name, _ in zarr.open_consolidated(dataset / "data.zarr", mode="r").arrays()}
+    assert named == {"bin", *read_manifest(dataset).schema.by_name}
 
 
 def test_xarray_opens_it(dataset: Path) -> None:

@@ -4,10 +4,13 @@ of another one say that they lost. What comes in between two steps is put there 
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,12 +37,25 @@ def files_of(root: Path) -> set[str]:
 
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for long."""
+    """Nobody waits for long, and no process is taken for dead because the machine is slow."""
     for module, name, seconds in (
-        (jobs, "TICK_S", 0.01), (jobs, "LOOK_S", 0.02), (jobs, "SILENCE_S", 0.5), (locks, "PULSE_S", 0.05),
-        (shard_job, "LOCK_PATIENCE_S", 0.0),
+        (jobs, "TICK_S", 0.01), (jobs, "LOOK_S", 0.02), (shard_job, "LOCK_PATIENCE_S", 0.0),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, seconds)
+
+
+class Clock:
+    """The time of a build that waits: it goes on when the build sleeps, and `meanwhile` is what others do then."""
+
+    def __init__(self, meanwhile: Callable[[float], object] = lambda now: None) -> None:
+        self.now, self.meanwhile, self.time = 0.0, meanwhile, time.time
+
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+        self.meanwhile(self.now)
 
 
 def before(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, do: Callable[[], object]) -> None:
@@ -86,6 +102,7 @@ def test_a_dataset_grows_to_one_size_at_a_time(tmp_path: Path, monkeypatch: pyte
     """A build that has found room to grow waits while another one prepares to grow further, and then refuses."""
     root = tmp_path / "set"
     build_fakes(small_config(), root)
+    monkeypatch.setattr(preparation, "alone_in", partial(locks.alone_in, patience_s=math.inf))
     refused = list[str]()
 
     def grow() -> None:
@@ -135,23 +152,36 @@ class Whole(HereAndNow):
 
 
 @pytest.mark.parametrize("engine", [HereAndNow, Whole])
-@pytest.mark.usefixtures("at_once")
-def test_a_shard_that_another_process_has_locked_is_left_for_later(tmp_path: Path, engine: type[HereAndNow]) -> None:
+def test_a_shard_that_another_process_has_locked_is_left_for_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: type[HereAndNow]
+) -> None:
     """All others are made; then the build waits as long as the other process gives signs of life, and ends with a
     line that names it. When the lock is gone the build goes on."""
     root, config = tmp_path / "set", small_config()
+    monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.0)
     store.prepare(root, config)
-    handle = lock_file(running_path(root, 1))
+    path = running_path(root, 1)
+    handle = lock_file(path)
     assert handle is not None
+
+    monkeypatch.setattr(jobs, "time", clock := Clock())
     with jobs_go_to(engine()), pytest.raises(CheckError, match=r"shard 1 \(.*, process \d+\).*has not stirred for"):
         build_fakes(config, root)
+    assert jobs.SILENCE_S < clock.now < 1.2 * jobs.SILENCE_S
     assert [record.shard for record in store.each_committed(root, store.read_manifest(root))] == [0, 2]
-    with locks.signs_of_life(handle), jobs_go_to(engine()):
-        waiting = threading.Timer(1.0, lambda: os.close(handle))
-        waiting.start()
+
+    def stir(now: float) -> None:
+        """A sign now and then, until the lock is gone."""
+        if now == 3 * jobs.SILENCE_S:
+            os.close(handle)
+        elif now < 3 * jobs.SILENCE_S and now % locks.PULSE_S == 0:
+            os.utime(path, ns=(0, int(now)))
+
+    monkeypatch.setattr(jobs, "time", clock := Clock(stir))
+    with jobs_go_to(engine()):
         result = build_fakes(config, root)
-    waiting.join()
     assert result.complete and (result.built, result.kept) == (1, 2) and not files_of(root)
+    assert clock.now >= 3 * jobs.SILENCE_S
 
 
 @pytest.mark.usefixtures("at_once")
@@ -188,13 +218,17 @@ def test_two_builds_of_one_dataset_share_its_work(tmp_path: Path, workers: int) 
         made.append(index)
         if len(made) < 3:
             # Both are at work on a scene.
-            meeting.wait(20)
+            meeting.wait()
         return fake_sample(config, index)
 
     results = list[building.BuildResult]()
 
     def build() -> None:
-        results.append(build_fakes(small_config(), root, sample_function=sample))
+        try:
+            results.append(build_fakes(small_config(), root, sample_function=sample))
+        finally:
+            # If one fails the other does not wait for it.
+            meeting.abort()
 
     with jobs_go_to(HereAndNow() if workers == 1 else Whole()):
         builds = [threading.Thread(target=build) for _ in range(2)]
