@@ -104,15 +104,12 @@ class _InTemporaryFolder(caching._SourceFileBackedLocatorMixin, caching._CacheLo
         return Path(tempfile.gettempdir(), f"datagen-{os.geteuid()}")
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _InTemporaryFolder | None:
-        """The place of a function's cache; None if it cannot be written."""
-        found: _InTemporaryFolder | None = super().from_function(py_func, py_file)  # type: ignore[no-untyped-call]
-        if found is not None:
-            _say(
-                f"compiled kernels are kept in {cls._private()}, as neither {ROOT} nor a cache folder of this user "
-                f"can be written; to keep them elsewhere {_REMEDY}"
-            )
-        return found
+    def say_stored(cls) -> None:
+        """Warn that a kernel was stored there."""
+        _say(
+            f"compiled kernels are kept in {cls._private()}, as neither {ROOT} nor a cache folder of this user "
+            f"can be written; to keep them elsewhere {_REMEDY}"
+        )
 
 
 def _places() -> list[Any]:
@@ -168,6 +165,10 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
             _say_not_stored(f"{self.cache_path}: {error.strerror or error}")
+        else:
+            # A folder that can be made may be on a full disk.
+            if isinstance(self._impl.locator, _InTemporaryFolder):
+                self._impl.locator.say_stored()
 
 
 def _say_not_stored(why: str) -> None:

@@ -21,6 +21,10 @@ COARSE = 3e-3
 """Ray offset, relative to the legs of the light, from which on users get a line: a thousand times that of rooms. At a
 third of it the light between plates of 2 m that are 1 mm apart is still right to 0.2 %. On a bench it is 1 cm: twice
 as much doubles the light of a plate of 2 cm, and seventy times as much adds a third to all light."""
+ACROSS = (0.05, 0.5, 0.95)
+PLACES = np.array([((1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v) for u in ACROSS for v in ACROSS])
+"""Places of a pixel at which it is asked what it sees, as weights of its corners (9, 4): near its edges, and its
+middle."""
 LOOKED_FROM, LEGS = 16, 64
 """Most laser points whose legs are measured, and rays from each."""
 QUARTILE = 0.75
@@ -53,7 +57,9 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
                 "that part, towards what it looks at"
             )
             return
-    met = caster.closest(capture.sensor.position, capture.sensor.pixels.mean(axis=1) - capture.sensor.position)
+    # A pixel whose middle looks past an edge may see light beside it.
+    looks = np.einsum("wc,pck->pwk", PLACES, capture.sensor.pixels).reshape(-1, 3) - capture.sensor.position
+    met = caster.closest(capture.sensor.position, looks)
     looked_at = {*points.part.tolist(), *scene.face_part[met.face[met.valid]].tolist()}
     # A bare wall is dark on purpose.
     if direct or not any(scene.part_names.index(name) not in looked_at for name in scene.objects):
@@ -67,7 +73,7 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
         if not known.any():
             if key == "Sensor.position":
                 yield (
-                    "the middle of no pixel sees a surface, so that hardly any light can come back; aim "
+                    "no pixel sees a surface, so that hardly any light can come back; aim "
                     "Sensor.pixels at the relay wall, and move Sensor.position a millimetre off any surface"
                 )
         elif _nothing_before(scene, at[known], normal[known], 2 * caster.offset_m):

@@ -12,7 +12,7 @@ from benchmarks.other_renderers import grid_points, point_capture
 from benchmarks.peer_cases import path_axis
 from benchmarks.problems import DEVICE, WALL, furnished_room, lump
 
-from datagen import Accuracy, Capture, Lambertian, Part, simulate
+from datagen import Accuracy, Capture, InputWarning, Lambertian, Part, simulate
 from datagen.records import Transient
 
 AT = np.array([1.6, -0.2, 1.7])
@@ -69,7 +69,8 @@ def test_an_object_that_is_hidden_is_not_chased() -> None:
     """The device stands inside a closed mesh: at most a millionth of the light leaves at its seams, and finding it
     would take any number of rays. The run ends."""
     scene = furnished_room(more=[lump("mesh", (1.6, -0.2, 1.5), 0.4, 9)])
-    found = simulate(scene, scan(4), Accuracy(target=0.02, max_bounces=3), split_parts=True)
+    with pytest.warns(InputWarning, match="lies inside of the part 'mesh', which shuts its light in"):
+        found = simulate(scene, scan(4), Accuracy(target=0.02, max_bounces=3), split_parts=True)
     assert found.samplers["primary"] == "cuts"
     assert found.met_target and found.rays["primary"] < 1e7
     assert found.parts["pillar"].sum() < 1e-5 * found.total.sum()

@@ -30,7 +30,8 @@ def test_a_laser_that_meets_nothing_has_no_shares_of_work() -> None:
     floor = Scene.from_parts([Part("floor", rectangle((0, 0, -1.5), (1.5, 0, 0), (0, 1.5, 0)), Lambertian(0.5))])
     capture = Capture(Laser((0, 0, 0.0), [[0.2, 0.2, 0.2]]), Sensor((1.0, 0, 0), square_pixels([[0, 0, 0]], 0.1)),
                       bins_of_path(4, 1.0, 0.0))  # fmt: skip
-    result = simulate(floor, capture, Accuracy(samples=1, max_bounces=3), seed=0)
+    with pytest.warns(InputWarning, match="no pixel sees a surface"):
+        result = simulate(floor, capture, Accuracy(samples=1, max_bounces=3), seed=0)
     assert not result.total.any() and not result.overflow.any()
 
 

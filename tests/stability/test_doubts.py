@@ -146,6 +146,9 @@ def test_a_device_that_no_light_comes_back_to_gets_a_line() -> None:
     assert any("before the laser points" in one for one in lines(room(), scan((0.0, 9.0, 1.2))))
     past = dg.Sensor(DEVICE, scan().sensor.pixels + np.array([0, 0, 50.0]))
     assert any("no pixel sees a surface" in one for one in lines(scene, replace(scan(), sensor=past)))
+    # Of one pixel the middle looks past the wall, and a quarter at it.
+    over = dg.Sensor(DEVICE, [[(1.5, 0, 1), (1.0, 0, 1), (1.0, 0, 2), (1.5, 0, 2)]])
+    assert lines(scene, replace(scan(), sensor=over, pairing="exhaustive")) == []
 
 
 def test_devices_in_rooms_and_on_faces_get_no_line() -> None:
