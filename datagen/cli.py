@@ -72,7 +72,7 @@ def calibrate(
         # A wrong name of the picture is found before the device file is written.
         from datagen.report.style import check_png
 
-        check_png(picture)
+        check_png(picture, "picture")
     frames = read_frames(sweep)
     with closing(Progress(not quiet)) as progress:
         found = fit(
@@ -91,7 +91,7 @@ def calibrate(
 @click.argument("simulated", required=False)
 @click.option("--device", "name", help="What recorded CAPTURES: a name of the catalogue, or a device file.")
 @click.option(
-    "--mesh", "meshes", multiple=True, help="What stood there, in metres, as the poses have it; may be repeated."
+    "--mesh", "paths", multiple=True, help="What stood there, in metres, as the poses have it; may be repeated."
 )
 @click.option("--fit", type=click.Choice(("hand", "mesh", "zones")), multiple=True, default=("hand", "mesh"),
               show_default=True, help="What is fitted besides albedos and a floor; may be repeated.")  # fmt: skip
@@ -101,7 +101,7 @@ def calibrate(
 @click.option("--out", help="Write the device as fitted into this file, .yaml.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def compare(
-    captures: str, simulated: str | None, name: str | None, meshes: tuple[str, ...], fit: tuple[Any, ...],
+    captures: str, simulated: str | None, name: str | None, paths: tuple[str, ...], fit: tuple[Any, ...],
     fixed: bool, as_json: bool, picture: str | None, out: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Hold CAPTURES of a sensor at known poses against their simulation, or a dataset against a SIMULATED one."""
@@ -115,8 +115,8 @@ def compare(
     if picture is not None:
         from datagen.report.style import check_png
 
-        check_png(picture)
-    if (simulated is None) == (name is None or not meshes):
+        check_png(picture, "picture")
+    if (simulated is None) == (name is None or not paths):
         raise InputError(
             "compare: give CAPTURES with --device and --mesh, or two datasets: datagen compare REAL SIMULATED"
         )
@@ -127,7 +127,7 @@ def compare(
     else:
         assert name is not None
         groups = () if fixed else fit
-        frames, parts = read_frames(captures), read_parts(meshes)
+        frames, parts = read_frames(captures), read_parts(paths)
         with closing(Progress(not quiet)) as progress:
             found = held_against(frames, device(name), parts, fit=groups, doing=progress.doing)
     say(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
@@ -163,7 +163,7 @@ def device(names: tuple[str, ...], out: str | None) -> None:
 
 @cli.command()
 @click.argument("config")
-@click.argument("out")
+@click.argument("path", metavar="OUT")
 @click.option("--scenes", type=int, help="Instead of the configuration's number; a dataset may grow.")
 @click.option("--workers", type=int, default=1, show_default=True, help="Processes, one core each.")
 @click.option("--shards", help="Only these shards, such as 0-99 or 3,7-9 (for job arrays).")
@@ -177,7 +177,7 @@ def device(names: tuple[str, ...], out: str | None) -> None:
     help="Give a scene up that takes longer (local workers): seconds, or `forecast`.",
 )
 @click.option("--quiet", is_flag=True, help="No progress.")
-def build(config: str, out: str, quiet: bool, **options: Any) -> None:
+def build(config: str, path: str, quiet: bool, **options: Any) -> None:
     """Build the dataset that CONFIG describes in the folder OUT. Running it again resumes."""
     if_ended(GOES_ON)
     from datagen.building.engines import start_imports
@@ -197,21 +197,23 @@ def build(config: str, out: str, quiet: bool, **options: Any) -> None:
             from datagen.building.plan import scene_limit
 
             options["scene_seconds"] = scene_limit(options["scene_seconds"], settings)
-    result = build_dataset(settings, out, progress=not quiet, **options)
+    result = build_dataset(settings, path, progress=not quiet, **options)
     if quiet and result.noisy:
         say(as_line(result.noisy), err=True)
     say(as_line(result.summary()))
     if result.complete and not quiet:
         # Scenes of an object store are not drawn.
-        draw = f"; datagen show {shlex.quote(out)} 0" if isinstance(result.path, Path) else ""
-        say(as_line(f"next: datagen info {shlex.quote(out)}{draw}"), err=True)
+        draw = f"; datagen show {shlex.quote(path)} 0" if isinstance(result.path, Path) else ""
+        say(as_line(f"next: datagen info {shlex.quote(path)}{draw}"), err=True)
 
 
 @cli.command()
 @click.argument("dataset")
 @click.option("--deep", is_flag=True, help="Decode every value, too, and compare it with its digest.")
-@click.option("--resimulate", type=int, default=0, metavar="N", help="Make N random scenes again, as `replay` does.")
-def verify(dataset: str, deep: bool, resimulate: int) -> None:
+@click.option(
+    "--resimulate", type=click.IntRange(1), metavar="N", help="Make N random scenes again, as `replay` does."
+)
+def verify(dataset: str, deep: bool, resimulate: int | None) -> None:
     """Check every file of DATASET against the hashes in its commit records."""
     if_ended(CHANGED_NOTHING)
     from datagen.store import verify as verify_dataset
@@ -219,7 +221,7 @@ def verify(dataset: str, deep: bool, resimulate: int) -> None:
 
     found = verify_dataset(dataset, deep)
     problems, again = [*found.problems], ""
-    if resimulate:
+    if resimulate is not None:
         from datagen.building.resimulate import resimulate as simulate_again
 
         scenes, differing = simulate_again(dataset, resimulate)
@@ -322,10 +324,10 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 
 @cli.command()
 @click.argument("name", required=False)
-@click.argument("out", required=False)
+@click.argument("path", metavar="[OUT]", required=False)
 @click.option("--workers", type=int, default=1, show_default=True, help="Processes, one core each.")
 @click.option("--quiet", is_flag=True, help="No progress.")
-def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
+def suite(name: str | None, path: str | None, workers: int, quiet: bool) -> None:
     """Build the benchmark set NAME in the folder OUT; without either, list the sets."""
     if_ended(GOES_ON)
     from datagen.suites.catalogue import build_suite, find_suite, listing
@@ -334,9 +336,9 @@ def suite(name: str | None, out: str | None, workers: int, quiet: bool) -> None:
         say(listing())
         return
     find_suite(name)
-    if out is None:
+    if path is None:
         raise click.UsageError("missing argument 'OUT'", click.get_current_context())
-    say(build_suite(name, out, workers, progress=not quiet).summary())
+    say(build_suite(name, path, workers, progress=not quiet).summary())
 
 
 @cli.command()
@@ -385,7 +387,7 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
 
 @cli.command("import")
 @click.argument("files", nargs=-1, required=True)
-@click.argument("out")
+@click.argument("path", metavar="OUT")
 @click.option("--format", "form", help="tal (y-tal), mat (MATLAB) or frames; left out: by each file's suffix.")
 @click.option("--bin", "bin_width", help="Width of a time bin where a file does not say it, such as 4ps.")
 @click.option("--wall", help="Size of the scanned grid where a file does not say it: 2m, or 2m x 150cm.")
@@ -398,13 +400,13 @@ def export(dataset: str, out: str, form: str, scenes: str | None, field: str | N
 @click.option("--description", default="", help="What was measured, and how.")
 @click.option("--license", default="", help="What others may do with it: an SPDX name, or an address.")
 @click.option("--quiet", is_flag=True, help="No progress.")
-def import_files(files: tuple[str, ...], out: str, form: str | None, quiet: bool, **options: Any) -> None:
+def import_files(files: tuple[str, ...], path: str, form: str | None, quiet: bool, **options: Any) -> None:
     """Make a dataset OUT of captures of other programs or of a laboratory, a scene for each of FILES, or
     for each frame in files of a sensor of zones."""
     if_ended(GOES_ON)
     from datagen.formats import import_captures
 
-    result = import_captures(files, out, format=form, progress=not quiet, **options)
+    result = import_captures(files, path, format=form, progress=not quiet, **options)
     say(as_line(result.summary()))
 
 

@@ -146,7 +146,7 @@ ALONE: dict[str, tuple[str, Callable[[], object]]] = {
     "confocal flood": ("illumination", lambda: dg.Capture(LASER, SENSOR, TIME, "confocal", "flood")),
     "mean without a time axis": ("time", lambda: dg.expected_histogram(np.zeros(64), None, SPAD, EXPOSURE)),
     "configuration of None": ("path", lambda: dg.load_config(None)),
-    "scenes of a fraction": ("--scenes", lambda: config().with_scenes(2.5)),
+    "scenes of a fraction": ("scenes = 2.5", lambda: config().with_scenes(2.5)),
     "capture_for without a wall": ("relay wall", lambda: dg.capture_for(config(), room())),
     "effect of another name": ("'fog'", lambda: dg.EffectDecisions((), 0.01)["fog"]),
 }

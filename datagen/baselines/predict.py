@@ -18,6 +18,7 @@ from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import reconstructed, scan_of
 from datagen.records import Rectangle
 from datagen.records.arrays import Bools, Floats
+from datagen.records.checks import as_given, check_seed
 from datagen.store.files import write_atomically
 from datagen.store.scenes import Scenes
 
@@ -96,13 +97,17 @@ def write_baseline(method: str, suite: str | Path, out: str | Path, split: str =
 
     method : `mean`, `backprojection` or `network`.
 
-    Raises `InputError` for an unknown method, and a folder that is no dataset or lacks fields that are needed.
+    Raises `InputError` for an unknown method, a seed that is none, and a folder that is no dataset or lacks fields
+    that are needed.
     """
     if method not in BASELINES:
-        raise InputError(f"METHOD = {method!r}: must be one of {', '.join(BASELINES)}")
+        raise InputError(f"{as_given('method', method)}: must be one of {', '.join(BASELINES)}")
     path = Path(out)
     if path.suffix != ".npz":
-        raise InputError(f"OUT = {str(out)!r}: predictions are a NumPy archive; name a file that ends in .npz")
+        raise InputError(
+            f"{as_given('out', str(out))}: predictions are a NumPy archive; name a file that ends in .npz"
+        )
+    check_seed(seed)
     train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
     arrays: dict[str, Any] = {"scene": wanted.scene, "suite": str(Scenes(suite).manifest.config["name"])}
     for name, values in BASELINES[method](train, wanted, seed).items():

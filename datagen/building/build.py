@@ -26,7 +26,7 @@ from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
-from datagen.records.checks import check_kind, numbers_of
+from datagen.records.checks import as_given, check_kind, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Bucket
@@ -257,14 +257,16 @@ def _check_arguments(config: object, path: object, scene_seconds: float | None, 
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder to make")
     if str(path) == "":
-        raise InputError("OUT = '': names no folder; name the one to make")
+        raise InputError(f"{as_given('path', str(path))}: names no folder; name the one to make")
     if scene_seconds is None:
         return
     check_kind("build.scene_seconds", scene_seconds, int, float, remedy="seconds")
     if not 0 < scene_seconds <= LONGEST_SCENE_S:
-        raise InputError(f"--scene-seconds {scene_seconds:g}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
+        raise InputError(f"{as_given('scene_seconds', scene_seconds)}: must be > 0 and ≤ {LONGEST_SCENE_S:g}")
     if engine != "local":
-        raise InputError(f"--scene-seconds {scene_seconds:g}: only local workers have such a limit; leave it out")
+        raise InputError(
+            f"{as_given('scene_seconds', scene_seconds)}: only local workers have such a limit; leave it out"
+        )
 
 
 def _check_unmixed(root: Path, record: store.ShardRecord) -> None:
@@ -273,7 +275,7 @@ def _check_unmixed(root: Path, record: store.ShardRecord) -> None:
         raise InputError(
             f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
             "promised for the same versions (constraints.txt) on the same kind of processor: use those, "
-            "name another folder, or accept it with --accept-mixed"
+            f"name another folder, or accept it with {as_given('accept_mixed', True)}"
         )
 
 

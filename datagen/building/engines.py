@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 
 from datagen.errors import CheckError, InputError
 from datagen.exit_status import Ended
+from datagen.records.checks import as_given
 
 MOST_WORKERS = 4096
 PATIENCE_S = 3.0
@@ -280,7 +281,9 @@ class DaskCluster:
             self._connect()
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             # Dask raises a TypeError for an address with tls if there are no certificates.
-            raise InputError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
+            raise InputError(
+                f"{as_given('scheduler', scheduler)}: no Dask scheduler answers there ({error})"
+            ) from None
         self._threads, self._count_due = workers, 0.0
 
     @property
@@ -327,8 +330,8 @@ class DaskCluster:
             except (OSError, TimeoutError):
                 if time.monotonic() > last:
                     raise CheckError(
-                        f"--scheduler {self._scheduler}: was lost, and has not been there again with a worker for "
-                        f"{RETURN_S:g} s; what is committed stays, run the same command when it is"
+                        f"{as_given('scheduler', self._scheduler)}: was lost, and has not been there again with a "
+                        f"worker for {RETURN_S:g} s; what is committed stays, run the same command when it is"
                     ) from None
 
     def close(self, kill: bool) -> None:
@@ -345,7 +348,7 @@ Engine = LocalProcesses | DaskCluster
 def check_workers(workers: int) -> None:
     """Raise `InputError` unless `workers` is a whole number in 1 … `MOST_WORKERS`."""
     if not isinstance(workers, int) or isinstance(workers, bool) or not 1 <= workers <= MOST_WORKERS:
-        raise InputError(f"--workers {workers}: must be ≥ 1 and ≤ {MOST_WORKERS}, one a core")
+        raise InputError(f"{as_given('workers', workers)}: must be ≥ 1 and ≤ {MOST_WORKERS}, one a core")
 
 
 def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
@@ -353,11 +356,17 @@ def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
     needed and not installed."""
     check_workers(workers)
     if engine not in ("local", "dask"):
-        raise InputError(f"--engine {engine}: must be local or dask")
+        raise InputError(f"{as_given('engine', engine)}: must be local or dask")
     if engine == "local" and scheduler is not None:
-        raise InputError(f"--scheduler {scheduler}: only --engine dask has a scheduler; add it or leave this out")
+        raise InputError(
+            f"{as_given('scheduler', scheduler)}: only {as_given('engine', 'dask')} has a scheduler; add it, "
+            "or leave this out"
+        )
     if engine == "dask" and importlib.util.find_spec("distributed") is None:
-        raise InputError("--engine dask: the package distributed is not installed; pip install nlos-datagen[cluster]")
+        raise InputError(
+            f"{as_given('engine', engine)}: the package distributed is not installed; "
+            "pip install nlos-datagen[cluster]"
+        )
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from datagen.building.progress import Progress
 from datagen.building.shard_job import Recipe, ShardHeld, abandon_shard, make_scene, overtime, run_shard
 from datagen.errors import CheckError
 from datagen.locks import PULSE_S, give_sign, holder_of, lock_file, sign_of_life
+from datagen.records.checks import as_given
 from datagen.store import upload
 from datagen.store.environment import mixed
 
@@ -215,7 +216,7 @@ class Jobs:
         for difference in [] if self.recipe.made_with is None else mixed([self.recipe.made_with, record.made_by]):
             raise CheckError(
                 f"another build has made shard {record.shard} meanwhile, and differs in {difference}; use the same "
-                "there, or build with --accept-mixed"
+                f"there, or build with {as_given('accept_mixed', True)}"
             )
         if self.output.bucket:
             self.output.put_shard(record, self.recipe.manifest)

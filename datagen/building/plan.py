@@ -19,6 +19,7 @@ from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
 from datagen.records import Sample, Scalar
+from datagen.records.checks import as_given
 from datagen.store import prepare, schema_of, write_shard
 from datagen.store.columns import Columns
 from datagen.store.environment import cores
@@ -101,7 +102,7 @@ def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS
     """
     check_workers(workers)
     if not 0 < seconds < math.inf:
-        raise InputError(f"--seconds {seconds:g}: must be > 0, such as {SECONDS:g}")
+        raise InputError(f"{as_given('seconds', seconds)}: must be > 0, such as {SECONDS:g}")
     config = with_exposure_found(config)
     check_inputs(config)
     return planned(config, simulated_scenes(config, seconds), workers, cores())
@@ -201,4 +202,4 @@ def scene_limit(text: str, config: DatasetConfig) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"--scene-seconds {text}: must be a number of seconds, or forecast") from None
+        raise InputError(f"{as_given('scene_seconds', text)}: must be a number of seconds, or forecast") from None

@@ -12,6 +12,7 @@ from datagen.building.plan import SECONDS, Plan, Range, plan_build
 from datagen.config import DatasetConfig, time_axes
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError, as_line
+from datagen.records.checks import as_given
 from datagen.store import schema_of
 from datagen.store.card import readable
 from datagen.store.columns import Columns
@@ -128,11 +129,13 @@ def _fields(config: DatasetConfig, found: Plan) -> Iterator[str]:
 
 def _check_file(path: Path) -> None:
     if path.is_dir():
-        raise InputError(f"--json {path}: is a folder; name a file")
+        raise InputError(f"{as_given('json_path', path)}: is a folder; name a file")
     if not path.parent.is_dir():
-        raise InputError(f"--json {path}: there is no folder {path.parent}; make it, or name another file")
+        raise InputError(
+            f"{as_given('json_path', path)}: there is no folder {path.parent}; make it, or name another file"
+        )
     if not os.access(path.parent, os.W_OK):
-        raise InputError(f"--json {path}: {path.parent} cannot be written; name a file elsewhere")
+        raise InputError(f"{as_given('json_path', path)}: {path.parent} cannot be written; name a file elsewhere")
 
 
 def duration(seconds: float) -> str:

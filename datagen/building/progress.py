@@ -1,4 +1,4 @@
-"""Progress of a build: a bar on a terminal, elsewhere a line from time to time."""
+"""Progress of a build: a bar on a terminal, elsewhere a line from time to time, where something has changed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Progress:
         self._total = self._done = self._at_start = 0
         # No line before `LINE_S`: bad input is refused sooner than that, and its error shall be the only line.
         self._line_due = self._began + LINE_S
-        self._printed = ""
+        # What was said already. A line for which nothing has changed would only lengthen a log.
+        self._said = set[object]()
         self._bar: Any = None
         # A dumb terminal would print the characters that move the bar.
         if shown and sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
@@ -40,8 +41,8 @@ class Progress:
         repeated calls keep running."""
         if self._bar is not None:
             self._bar.set_description_str(as_line(what))
-        elif time.monotonic() >= self._line_due and what != self._printed:
-            self._line(what)
+        elif time.monotonic() >= self._line_due:
+            self._line(what, what)
 
     def begin(self, total: int, done: int) -> None:
         """Begin to count scenes: `total` in all, `done` of which an earlier build finished."""
@@ -66,13 +67,16 @@ class Progress:
         elif time.monotonic() >= self._line_due or before < self._done == self._total:
             rate = (self._done - self._at_start) / max(time.monotonic() - self._began, 1e-9)
             speed = f", {rate:.2g} scenes/s, {(self._total - self._done) / rate:.0f} s left" if rate else ""
-            failed, at = f", {failures} failed" if failures else "", at and f"; {at} in work"
-            self._line(f"{self._done} of {self._total} scenes{failed}{speed}{at}")
+            failed = f", {failures} failed" if failures else ""
+            at = f"; {at} in work" if at and self._done < self._total else ""
+            self._line(f"{self._done} of {self._total} scenes{failed}{speed}{at}", (self._done, failures, at))
 
-    def _line(self, line: str) -> None:
-        """Print a line, and set the time at which the next one is due."""
+    def _line(self, line: str, state: object) -> None:
+        """Print a line on a state that no line was on, and set the time at which the next one is due."""
+        if state in self._said:
+            return
+        self._said.add(state)
         self.say(line)
-        self._printed = line
         now = time.monotonic()
         self._line_due = now + max(LINE_S, (now - self._began) / 20)
 

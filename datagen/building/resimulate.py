@@ -14,7 +14,7 @@ from datagen.store.scenes import Scenes
 
 
 def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]:
-    """Make `scenes` scenes of a dataset again (all if it has fewer). Each call draws other scenes at random.
+    """Make `scenes` scenes of a dataset again (all if it has fewer), at least 1. Each call draws others at random.
 
     Returns
     -------
@@ -23,13 +23,11 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
 
     Raises
     ------
-    InputError : no dataset, one of another version of datagen, `scenes` < 1, scenes that cannot be made again, or a
+    InputError : no dataset, one of another version of datagen, scenes that cannot be made again, or a
         mesh file is missing or has changed.
     CheckError : no scene of the dataset is there.
     """
     stored = Scenes(path)
-    if scenes < 1:
-        raise InputError(f"--resimulate {scenes}: must be ≥ 1")
     manifest = stored.manifest
     if manifest.made_by["datagen"] != __version__:
         raise InputError(

@@ -19,6 +19,7 @@ from datagen.errors import CheckError, InputError
 from datagen.exit_status import Ended
 from datagen.locks import holder_of, lock_file, signs_of_life
 from datagen.records import Sample
+from datagen.records.checks import as_given
 from datagen.store import (
     DatasetReader,
     Manifest,
@@ -123,7 +124,9 @@ def _check_environment(recipe: Recipe) -> None:
     """Raise `CheckError` if the environment of this worker may give other bytes than that of the other shards."""
     differing = [] if recipe.made_with is None else mixed([recipe.made_with, made_with()])
     if differing:
-        raise CheckError(f"a worker differs in {differing[0]}; use the same there, or build with --accept-mixed")
+        raise CheckError(
+            f"a worker differs in {differing[0]}; use the same there, or build with {as_given('accept_mixed', True)}"
+        )
 
 
 def scenes_missing(manifest: Manifest, record: ShardRecord) -> list[int]:
@@ -209,7 +212,7 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[None]:
         if time.monotonic() > deadline:
             raise ShardHeld(
                 f"{path}: another build is writing this shard ({holder_of(path)}); wait for it, or choose other "
-                "--shards"
+                "shards"
             )
         time.sleep(0.05)
     try:
@@ -225,7 +228,7 @@ class Overtime(BaseException):
 
 def overtime(seconds: float) -> str:
     """The reason that is recorded for a scene that took too long."""
-    return f"took longer than {seconds:g} s (--scene-seconds)"
+    return f"took longer than {seconds:g} s (scene_seconds)"
 
 
 @contextmanager

@@ -117,13 +117,14 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
         case "extra_forbidden":
             known = sorted({name for one in models for name in one.model_fields})
             gone = next((str(w) for one in models if (w := getattr(one, "gone", {}).get(location[-1]))), "")
-            hint = gone or near_hint(location[-1], known, 0.5).rstrip() or f"known keys: {', '.join(known)}"
+            hint = gone or near_hint(location[-1], known, cutoff=0.5) or f"known keys: {', '.join(known)}"
             return f"{key and f'{key}.'}{location[-1]}: unknown key; {hint}"
         case "missing":
             return f"{key}: missing; this key is required"
         case "union_tag_invalid":
             kind = context["tag"]
-            return f"{key}: kind = {kind!r} is unknown; {near_hint(kind, kinds)}It must be one of {', '.join(kinds)}"
+            hint = near_hint(kind, kinds, f"it must be one of {', '.join(kinds)}")
+            return f"{key}: kind = {kind!r} is unknown; {hint}"
         case "value_error":
             return f"{key and f'{key}: '}{context['error']}"
         case "dict_type" | "model_type" | "model_attributes_type" | "union_tag_not_found":
@@ -136,10 +137,11 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
     return f"{key} = {shown}: {message}"
 
 
-def near_hint(name: str, known: Iterable[str], cutoff: float = 0.6) -> str:
-    """`did you mean '…'? ` with the known name that is most alike; empty where none is."""
+def near_hint(name: str, known: Iterable[str], then: str = "", cutoff: float = 0.6) -> str:
+    """`did you mean '…'?` with the known name that is most alike, and `then` as a sentence after it; only `then`, as
+    the rest of a sentence, where none is alike."""
     near = difflib.get_close_matches(name, [*known], n=1, cutoff=cutoff)
-    return f"did you mean {near[0]!r}? " if near else ""
+    return f"did you mean {near[0]!r}? {then[:1].upper()}{then[1:]}".rstrip() if near else then
 
 
 def check_known(name: str, known: Iterable[str], what: str, groups: Iterable[str] = ()) -> None:
@@ -150,7 +152,7 @@ def check_known(name: str, known: Iterable[str], what: str, groups: Iterable[str
     """
     if name not in known and name not in groups:
         listed = f"there are {', '.join(groups or known)}"
-        raise ValueError(f"{name!r} is not {what}; {near_hint(name, [*groups, *known], 0.4).rstrip() or listed}")
+        raise ValueError(f"{name!r} is not {what}; {near_hint(name, [*groups, *known], cutoff=0.4) or listed}")
 
 
 def _place_of(location: Sequence[int | str], model: type[BaseModel]) -> tuple[str, list[type[BaseModel]]]:

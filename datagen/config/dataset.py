@@ -24,7 +24,7 @@ from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
-from datagen.records.checks import check_kind
+from datagen.records.checks import as_given, check_kind
 from scene_library.materials import checked_wavelength_nm
 
 MOST_SCENES = 100_000_000
@@ -125,7 +125,7 @@ class DatasetConfig(Settings):
     def with_scenes(self, scenes: int) -> DatasetConfig:
         """The same dataset with another number of scenes (same seed, same first scenes)."""
         if not isinstance(scenes, int) or isinstance(scenes, bool) or not 1 <= scenes <= MOST_SCENES:
-            raise InputError(f"--scenes {scenes}: must be ≥ 1 and ≤ {MOST_SCENES}")
+            raise InputError(f"{as_given('scenes', scenes)}: must be ≥ 1 and ≤ {MOST_SCENES}")
         return self.model_copy(update={"scenes": scenes})
 
 

@@ -236,9 +236,9 @@ def read_device(name: str | Path, model: type[AnyDevice], folder: Path | None = 
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         if str(name) not in device_names():
+            there = f"there are {', '.join(device_names())}; or name a device file (.yaml)"
             raise InputError(
-                f"device {str(name)!r} is not in the catalogue; {near_hint(str(name), device_names())}There are "
-                f"{', '.join(device_names())}; or name a device file (.yaml)"
+                f"device {str(name)!r} is not in the catalogue; {near_hint(str(name), device_names(), there)}"
             )
         path = FOLDER / f"{name}.yaml"
     elif folder is not None:

@@ -40,6 +40,7 @@ from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
+from datagen.records.checks import option
 from datagen.store.manifest import Manifest
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
@@ -212,7 +213,7 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
             parts.append(Part(name, mesh, Lambertian(UNIT), "object"))
     names = [part.name for part in parts]
     if len(set(names)) < len(names):
-        raise InputError(f"--mesh: {', '.join(names)}: two files give parts of one name; rename a file")
+        raise InputError(f"{option('paths')}: {', '.join(names)}: two files give parts of one name; rename a file")
     return parts
 
 

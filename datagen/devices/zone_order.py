@@ -53,11 +53,11 @@ def zones_listed(source: str, order: str | Sequence[int], zones: Zones, count: i
             )
         return numbers
     if order not in ORDERS:
-        raise InputError(
-            f"{source}: zone_order = {shown(order)}: {near_hint(order, ORDERS)}There are rows or columns from top or "
-            f"bottom left or right, as the sensor sees the scene, and the same with {EXCHANGED!r} at the end; or the "
-            "device's number of each zone"
+        there = (
+            "there are rows or columns from top or bottom left or right, as the sensor sees the scene, and the same "
+            f"with {EXCHANGED!r} at the end; or the device's number of each zone"
         )
+        raise InputError(f"{source}: zone_order = {shown(order)}: {near_hint(order, ORDERS, there)}")
     grid = grid_of(zones)
     if grid is None or grid.size != count:
         raise InputError(

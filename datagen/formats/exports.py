@@ -12,7 +12,7 @@ from datagen.formats.matlab import write_mat
 from datagen.formats.plain import write_h5, write_npz
 from datagen.formats.recording import QUANTITIES
 from datagen.formats.tal import write_tal
-from datagen.records.checks import numbers_of
+from datagen.records.checks import as_given, numbers_of, option
 from datagen.store.files import PARTIAL, check_writable
 from datagen.store.scenes import Scenes
 
@@ -42,15 +42,17 @@ def export(
     CheckError : values are missing or damaged, or the disk refused.
     """
     if format not in FORMATS:
-        raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
+        raise InputError(f"{as_given('format', format)}: must be one of {', '.join(FORMATS)}")
     if field is not None and (format not in _MEASURED or field not in QUANTITIES):
-        raise InputError(f"--field {field}: must be one of {', '.join(QUANTITIES)}, with --format tal or mat")
+        raise InputError(
+            f"{as_given('field', field)}: must be one of {', '.join(QUANTITIES)}, with {option('format')} tal or mat"
+        )
     root, target = Scenes(dataset), Path(out)
     check_writable(target)
     try:
         if format == "hub":
             if scenes is not None:
-                raise InputError("--scenes: a folder for the Hub has all of them; leave it out")
+                raise InputError(f"{option('scenes')}: a folder for the Hub has all of them; leave it out")
             return write_hub(root, target)
         asked = scenes if scenes is None or isinstance(scenes, str) else ",".join(map(str, scenes))
         wanted = root.made() if asked is None else numbers_of("scenes", asked, root.manifest.schema.scenes)

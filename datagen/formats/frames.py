@@ -20,6 +20,7 @@ from datagen.devices.frames import all_whole
 from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError
 from datagen.records import OnSurfaces, Sample, Scalar
+from datagen.records.checks import as_given
 from datagen.records.sample import geometry_fields
 from datagen.store.files import sha256_of
 
@@ -62,7 +63,9 @@ def config_of_frames(
     Raises `InputError` where no device is named, and for frames that are damaged or have other zones or bins.
     """
     if name is None:
-        raise InputError(f"{paths[0]}: frames do not say what recorded them; name it: --device tmf8820")
+        raise InputError(
+            f"{paths[0]}: frames do not say what recorded them; name it: {as_given('device', 'tmf8820')}"
+        )
     sensor = device(name)
     # A scan has a histogram for each laser point.
     lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape

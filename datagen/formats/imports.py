@@ -30,7 +30,7 @@ from datagen.formats.matlab import read_mat
 from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.formats.tal import read_tal
 from datagen.records import Sample, Scalar, TimeAxis
-from datagen.records.checks import check_choice, check_kind, check_number
+from datagen.records.checks import as_given, check_choice, check_kind, check_number, option
 from datagen.store.files import sha256_of
 from datagen.untrusted import why_no_file
 
@@ -95,22 +95,24 @@ def import_captures(
     """
     check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
     if format is not None and format not in FORMATS:
-        raise InputError(f"--format {format}: must be one of {', '.join(FORMATS)}")
-    paths = _paths(files)
+        raise InputError(f"{as_given('format', format)}: must be one of {', '.join(FORMATS)}")
     if field is not None:
-        check_choice("--field", field, FIELDS)
+        check_choice(option("field"), field, FIELDS)
     options, delays = _options(bin_width, wall, tof, axes, bins)
+    paths = _paths(files)
     named = {"name": name, "description": description, "license": license}
     if {format or _format_of(file) for file in paths} == {"frames"}:
         if (options, field) != (ImportOptions(), None):
             raise InputError(
-                f"{paths[0]}: frames of a sensor are counts on its own time axis; leave --bin-width, --wall, --tof, "
-                "--axes, --bins and --field out"
+                f"{paths[0]}: frames of a sensor are counts on its own time axis; leave "
+                f"{', '.join(map(option, ('bin_width', 'wall', 'tof', 'axes', 'bins')))} and {option('field')} out"
             )
         config = config_of_frames(paths, device, dict(settings or {}), named)
     else:
         if device is not None:
-            raise InputError(f"--device {device}: {paths[0].name} holds no frames of a sensor; leave it out")
+            raise InputError(
+                f"{as_given('device', device)}: {paths[0].name} holds no frames of a sensor; leave it out"
+            )
         given = [_summary(file, format, options, delays) for file in paths]
         config = _config(given, field, options, dict(settings or {}), named)
     samples = ImportedSamples(tuple(str(file.resolve()) for file in paths), None if delays is None else str(delays))
@@ -202,16 +204,16 @@ def _options(
         for value in size:
             check_number("import", "wall", value, 1e-6, 1e5, "metres, or a text such as '2m'")
     if axes is not None:
-        check_choice("--axes", axes, AXES)
+        check_choice(option("axes"), axes, AXES)
     if bins is not None and (not isinstance(bins, int) or isinstance(bins, bool) or not 1 <= bins <= 1_000_000):
-        raise InputError(f"--bins {bins}: must be an integer in 1 … 1000000")
+        raise InputError(f"{as_given('bins', bins)}: must be an integer in 1 … 1000000")
     stated: ImportedFile | Literal["none"] | None = None if tof is None else "none"
     delays = None
     if tof is not None and str(tof) != "none":
         check_kind("tof", tof, str, os.PathLike)
         delays = Path(tof)
         if (why := why_no_file(delays)) is not None:
-            raise InputError(f"--tof {tof}: {why}; name the one with tofgrid, or none")
+            raise InputError(f"{as_given('tof', tof)}: {why}; name the one with tofgrid, or none")
         stated = ImportedFile(name=delays.name, sha256=sha256_of(delays), format="mat")
         delays = delays.resolve()
     return ImportOptions(
@@ -238,7 +240,7 @@ def _summary(path: Path, format: str | None, options: ImportOptions, delays: Pat
 def _format_of(path: Path) -> str:
     form = _BY_SUFFIX.get(path.suffix.lower())
     if form is None:
-        raise InputError(f"{path}: its suffix says no format; say --format {', '.join(FORMATS)}")
+        raise InputError(f"{path}: its suffix says no format; say {option('format')}, one of {', '.join(FORMATS)}")
     return form
 
 
@@ -247,7 +249,7 @@ def _recording(path: Path, format: str, options: ImportOptions, delays: Path | N
     recording = read_tal(path, options) if format == "tal" else read_mat(path, options, delays)
     bins = recording.time.bins if options.bins is None else options.bins
     if bins > recording.time.bins:
-        raise InputError(f"{path}: has {recording.time.bins} bins, --bins {bins} asks for more")
+        raise InputError(f"{path}: has {recording.time.bins} bins, {as_given('bins', bins)} asks for more")
     return replace(recording, values=recording.values[..., :bins], time=replace(recording.time, bins=bins))
 
 
@@ -261,7 +263,7 @@ def _config(
             shorter = min(other.time.bins, first.time.bins)
             times = {replace(capture.time, bins=shorter) for capture in (first, other)}
             only_bins = (other.shape[:2], other.paired, len(times)) == (first.shape[:2], first.paired, 1)
-            remedy = f"take --bins {shorter} of all" if only_bins else "import them into several"
+            remedy = f"take {as_given('bins', shorter)} of all" if only_bins else "import them into several"
             raise InputError(
                 f"{other.file.name}: {other}, {first.file.name}: {first}; all of a dataset have one "
                 f"shape, time axis and pairing: {remedy}"
@@ -286,13 +288,14 @@ def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
     most = max(given, key=lambda capture: capture.most)
     if field == "histogram" and fraction is not None:
         raise InputError(
-            f"{fraction.file.name}: holds fractions, which are no counts; leave --field histogram out, or round them"
+            f"{fraction.file.name}: holds fractions, which are no counts; leave "
+            f"{as_given('field', 'histogram')} out, or round them"
         )
     if field is None and fraction is not None and any(capture.whole and capture.most > 0 for capture in given):
         counts = next(capture for capture in given if capture.whole and capture.most > 0)
         raise InputError(
             f"{fraction.file.name} holds fractions and {counts.file.name} whole numbers; import them into two "
-            "datasets, or all with --field transient"
+            f"datasets, or all with {as_given('field', 'transient')}"
         )
     if field == "transient" or fraction is not None:
         if most.most > float(np.finfo(np.float32).max):
@@ -302,6 +305,6 @@ def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
     if dtype is None:
         raise InputError(
             f"{most.file.name}: counts up to {most.most:g}, at most {LARGEST_COUNTS['uint32']} are stored; take "
-            "--field transient"
+            f"{as_given('field', 'transient')}"
         )
     return {"fields": ["histogram"], "histogram_dtype": dtype}

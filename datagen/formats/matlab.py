@@ -40,6 +40,7 @@ from datagen.formats.recording import (
     time_bins,
 )
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import as_given, option
 from datagen.store.scenes import SceneContent
 from datagen.units import path_from_time, time_from_path
 from datagen.untrusted import CAPTURE_BYTES, expands_too_far
@@ -67,7 +68,7 @@ def write_mat(scene: SceneContent, path: Path, quantity: str | None = None) -> N
         if value.nbytes > _LARGEST_BYTES:
             raise InputError(
                 f"scene {scene.index}: {name} would have {value.nbytes} bytes, and a MATLAB variable has at "
-                f"most {_LARGEST_BYTES}; take --format h5 or npz"
+                f"most {_LARGEST_BYTES}; take {option('format')} h5 or npz"
             )
     written = variables | {"bin_resolution": m.time.width_s, "scene": scene.index}
     savemat(path, written, do_compression=True)
@@ -165,7 +166,7 @@ def _read_grid(content: Content, name: str, options: ImportOptions, delays: Path
         if kept < 1:
             raise InputError(
                 f"{path}: tofgrid: {int(shifts.max())} bins of {time.width_s * 1e12:g} ps to the wall and back, and "
-                f"{values.shape[-1]} bins in all; are they ps, and is --bin right?"
+                f"{values.shape[-1]} bins in all; are they ps, and is {option('bin_width')} right?"
             )
         values = _shifted(values, shifts, kept)
         time = replace(time, bins=kept)
@@ -201,17 +202,17 @@ def _read_shifts(
     """(row, column) whole bins that light takes to the wall and back; 0 if times count from the wall."""
     if delays is not None:
         if "tofgrid" in content.arrays:
-            raise InputError(f"{content.path}: has a tofgrid of its own; leave --tof out")
+            raise InputError(f"{content.path}: has a tofgrid of its own; leave {option('tof')} out")
         content = matlab_content(delays, {"tofgrid": POINTS})
     elif "tofgrid" not in content.arrays:
         if name == "meas" and options.delays is None:
             raise InputError(
-                f"{content.path}: tofgrid: missing, and meas counts from the laser; name its file: --tof tof.mat, or "
-                "--tof none where it has been taken off"
+                f"{content.path}: tofgrid: missing, and meas counts from the laser; name its file: "
+                f"{as_given('tof', 'tof.mat')}, or {as_given('tof', 'none')} where it has been taken off"
             )
         return np.zeros(grid, np.int64)
     elif options.delays == "none":
-        raise InputError(f"{content.path}: has a tofgrid, and --tof none; leave --tof out")
+        raise InputError(f"{content.path}: has a tofgrid, and {as_given('tof', 'none')}; leave {option('tof')} out")
     found = content.array("tofgrid")
     if found.shape != grid:
         raise InputError(f"{content.path}: tofgrid: shape {found.shape}, the grid is {grid}")
@@ -251,11 +252,13 @@ def _read_wall(content: Content, name: str, options: ImportOptions) -> tuple[flo
         said = float(size[0]), float(size[-1])
     if said is None and options.wall_m is None:
         known = "width" if name == "rect_data" else "wall_size"
-        raise InputError(f"{content.path}: {known}: missing; say how large the scanned grid is: --wall 2m")
+        raise InputError(
+            f"{content.path}: {known}: missing; say how large the scanned grid is: {as_given('wall', '2m')}"
+        )
     if said is not None and options.wall_m is not None and not np.allclose(said, options.wall_m, rtol=SAME):
         raise InputError(
-            f"{content.path}: says a wall of {said[0]:g} × {said[1]:g} m, --wall {options.wall_m[0]:g} × "
-            f"{options.wall_m[1]:g} m; leave --wall out"
+            f"{content.path}: says a wall of {said[0]:g} × {said[1]:g} m, {option('wall')} {options.wall_m[0]:g} × "
+            f"{options.wall_m[1]:g} m; leave {option('wall')} out"
         )
     width, height = said or options.wall_m or (0.0, 0.0)
     if not (0 < width <= 1e5 and 0 < height <= 1e5):

@@ -18,6 +18,7 @@ from datagen.errors import InputError
 from datagen.formats.containers import wall_normal
 from datagen.records import OnSurfaces, TimeAxis
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import as_given
 from datagen.records.sample import geometry_fields
 from datagen.store.scenes import SceneContent
 
@@ -256,9 +257,12 @@ def time_bins(
     """
     asked = None if options.bin_width_ps is None else options.bin_width_ps * 1e-12
     if width_s is None and asked is None:
-        raise InputError(f"{path}: {named}: missing; say how wide a bin is: --bin 4ps")
+        raise InputError(f"{path}: {named}: missing; say how wide a bin is: {as_given('bin_width', '4ps')}")
     if width_s is not None and asked is not None and abs(width_s - asked) > SAME * asked:
-        raise InputError(f"{path}: says {named} of {width_s * 1e12:g} ps, --bin {asked * 1e12:g}ps; leave --bin out")
+        raise InputError(
+            f"{path}: says {named} of {width_s * 1e12:g} ps, "
+            f"{as_given('bin_width', f'{asked * 1e12:g}ps')}; leave it out"
+        )
     width = width_s if width_s is not None else asked
     assert width is not None
     try:
@@ -282,7 +286,7 @@ def seconds_of(text: str) -> float:
     """Seconds of a text: `"4ps"` → 4e-12. Raises `InputError` for any other text."""
     found = re.fullmatch(rf"{_NUMBER}\s*(fs|ps|ns|us|s)", text.strip())
     if found is None or float(found[1]) <= 0:
-        raise InputError(f"--bin {text}: must be a time such as 4ps or 0.032ns")
+        raise InputError(f"{as_given('bin_width', text)}: must be a time such as 4ps or 0.032ns")
     return float(found[1]) * _SECONDS[found[2]]
 
 
@@ -291,6 +295,8 @@ def metres_of(text: str) -> tuple[float, float]:
     unit = r"\s*(mm|cm|m)"
     found = re.fullmatch(rf"{_NUMBER}{unit}(?:\s*[x×]\s*{_NUMBER}{unit})?", text.strip())
     if found is None:
-        raise InputError(f"--wall {text}: must be a size such as 2m, or width and height such as 2m x 150cm")
+        raise InputError(
+            f"{as_given('wall', text)}: must be a size such as 2m, or width and height such as 2m x 150cm"
+        )
     width = float(found[1]) * _METRES[found[2]]
     return width, width if found[3] is None else float(found[3]) * _METRES[found[4]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 
 import numpy as np
@@ -35,7 +36,7 @@ def check_integer(record: str, name: str, value: object, low: int, high: int) ->
 def check_seed(value: object) -> None:
     """Raise `InputError` unless `value` is an integer in 0 … 2⁶⁴ − 1."""
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or not 0 <= value < 2**64:
-        raise InputError(f"seed = {shown(value)}: must be an integer in 0 … 2^64 − 1")
+        raise InputError(f"{as_given('seed', value)}: must be an integer in 0 … 2^64 − 1")
 
 
 def check_flag(name: str, value: object, remedy: str = "") -> None:
@@ -89,19 +90,20 @@ def check_reals(name: str, value: object, shape: tuple[int | None, ...]) -> None
 def numbers_of(what: str, text: str, count: int) -> list[int]:
     """`"0-2,7"` → the numbers, ascending, each once; raises `InputError` for numbers that are not in 0 … count − 1.
 
-    what : "shards" or "scenes", after the option `--shards` or `--scenes`.
+    what : "shards" or "scenes", as the argument is called.
     """
+    asked = as_given(what, text)
     chosen: set[int] = set()
     for piece in text.split(","):
         first, dash, last = piece.partition("-")
         try:
             low, high = int(first), int(last) if dash else int(first)
         except ValueError:
-            raise InputError(f"--{what} {text}: must be numbers and ranges such as 0-99 or 3,7-9") from None
+            raise InputError(f"{asked}: must be numbers and ranges such as 0-99 or 3,7-9") from None
         if low > high:
-            raise InputError(f"--{what} {text}: the range {piece} is upside down; write the smaller number first")
+            raise InputError(f"{asked}: the range {piece} is upside down; write the smaller number first")
         if high >= count:
-            raise InputError(f"--{what} {text}: this dataset has the {what} 0-{count - 1}")
+            raise InputError(f"{asked}: this dataset has the {what} 0-{count - 1}")
         chosen.update(range(low, high + 1))
     return sorted(chosen)
 
@@ -111,9 +113,39 @@ def shown(value: object) -> str:
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple) and shape:
         return f"an array of shape {shape}"
-    text = repr(value)
-    simple = isinstance(value, (str, int, float, complex, list, tuple, type(None), np.generic))
-    return text if simple and len(text) <= LONGEST_SHOWN and "\n" not in text else f"a {type(value).__name__}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    try:
+        text = repr(value)
+    except Exception:
+        # Of a whole number of thousands of digits, or of a user's own class: nothing that a message could show.
+        text = ""
+    # What begins with < is Python's own name of an object, with its place in memory.
+    is_short = 0 < len(text) <= LONGEST_SHOWN and not text.startswith("<") and text.isprintable()
+    return text if is_short else f"a {type(value).__name__}"
+
+
+def option(argument: str) -> str:
+    """How the user at work writes an argument: `--scenes` on the command line, `scenes` in Python."""
+    # Only whoever is on the command line has imported it, and then a command has a context.
+    click = sys.modules.get("click")
+    context = None if click is None else click.get_current_context(silent=True)
+    if context is None or not str(getattr(context.command.callback, "__module__", "")).startswith("datagen."):
+        return argument
+    for parameter in context.command.params:
+        if parameter.name == argument:
+            # An argument of a command is written in capitals, and has no option in front.
+            first = str(parameter.opts[-1])
+            return first if first.startswith("-") else str(parameter.human_readable_name).strip("[]")
+    return f"--{argument.replace('_', '-')}"
+
+
+def as_given(argument: str, value: object) -> str:
+    """An argument with its value, as the user at work writes them: `--scenes 3`, or `scenes = 3` in Python."""
+    name = option(argument)
+    if not name.startswith("-"):
+        return f"{name} = {shown(value)}"
+    return name if value is True else f"{name} {value}"
 
 
 def as_reals(name: str, value: ArrayLike) -> Floats:

@@ -15,6 +15,7 @@ from datagen.errors import InputError
 from datagen.labels import MADE_HERE, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
+from datagen.records.checks import as_given
 from datagen.report.labels import DRAWN, draw_boxes, draw_label
 from datagen.report.rooms import RoomPicture, draw_opened, draw_plan, draw_sight
 from datagen.report.style import INK, captioned, check_png, house_style, plain, save_png, short
@@ -30,27 +31,27 @@ _PANEL_IN = (3.35, 2.5)
 _NAME_LETTERS = 52
 
 
-def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, out: str | Path) -> Path:
+def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], rooms: int, out: str | Path) -> Path:
     """Draw the first scenes of one or several configurations (no light is simulated) as one PNG; returns its path.
 
-    `count` rooms in all, shared evenly. Raises `InputError` for a count outside 1 … 400, a room that cannot be made,
-    or an output that cannot be written.
+    `rooms` of them in all, shared evenly. Raises `InputError` for a number outside 1 … 400, a room that cannot be
+    made, or an output that cannot be written.
     """
     picture = check_png(out)
-    if not 1 <= count <= MOST_ROOMS:
-        raise InputError(f"count = {count}: a contact sheet holds 1 … {MOST_ROOMS} rooms")
+    if not 1 <= rooms <= MOST_ROOMS:
+        raise InputError(f"{as_given('rooms', rooms)}: a contact sheet holds 1 … {MOST_ROOMS} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     of = f"{several[0].name} (seed {several[0].seed})" if len(several) == 1 else f"{len(several)} configurations"
     text = (
         "Plan (bar: 1 m, yellow: what the device sees) and the room without ceiling and near walls, with laser and "
         "sensor (diamond), relay wall (light blue), window of the labels (green) and objects (bright)."
     )
-    columns = min(_ROOMS_ACROSS, int(np.ceil(np.sqrt(count))))
+    columns = min(_ROOMS_ACROSS, int(np.ceil(np.sqrt(rooms))))
     plan_in, opened_in, high = _ROOM_IN
-    scenes = first_scenes(several, count)
+    scenes = first_scenes(several, rooms)
     with house_style():
         figure, grid = captioned(
-            columns * (plan_in + opened_in), [high] * -(-count // columns), text, f"{count} rooms of {of}",
+            columns * (plan_in + opened_in), [high] * -(-rooms // columns), text, f"{rooms} rooms of {of}",
             2 * columns, [plan_in, opened_in] * columns, arranged=False,
         )  # fmt: skip
         figure.subplots_adjust(0.01, right=0.99, wspace=0.08, hspace=0.3)
@@ -73,16 +74,16 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, 
         return save_png(figure, picture)
 
 
-def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, out: str | Path) -> Path:
+def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], labels: int, out: str | Path) -> Path:
     """Draw the first scenes of one or several configurations, each beside all the labels it can have; returns the
     PNG's path.
 
-    Raises `InputError` for a count outside 1 … 16, a room that cannot be made, or an output that cannot be
+    Raises `InputError` for a number outside 1 … 16, a room that cannot be made, or an output that cannot be
     written.
     """
     picture = check_png(out)
-    if not 1 <= count <= MOST_LABELLED:
-        raise InputError(f"labels = {count}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")
+    if not 1 <= labels <= MOST_LABELLED:
+        raise InputError(f"{as_given('labels', labels)}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     # Parts come last, where there is room for their names.
     fields = sorted((name for name in MADE_HERE if name in DRAWN), key=lambda field: field == "part_id")
@@ -92,10 +93,10 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
         "One room after the other; labels are seen through the dashed green window along its arrow, right and up as "
         "for somebody who faces the relay wall (normal: red to the right, green up, blue to the wall)."
     )
-    scenes = first_scenes(several, count)
+    scenes = first_scenes(several, labels)
     with house_style():
         figure, grid = captioned(
-            wide * _PANELS_ACROSS, [high] * (lines * count), text, f"Rooms and their labels: {count}",
+            wide * _PANELS_ACROSS, [high] * (lines * labels), text, f"Rooms and their labels: {labels}",
             _PANELS_ACROSS, arranged=False,
         )  # fmt: skip
         # Space for colour bars, and for the names of parts at the right.
@@ -109,13 +110,13 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], count: int, ou
             draw_sight(plan, scene)
             plan.set_title(short(f"{config.name} {index}"))
             draw_opened(opened, room)
-            labels = make_labels(config.labels, scene, fields)
+            made = make_labels(config.labels, scene, fields)
             classes = classes_in(scene)
             draw_boxes(
-                objects, scene, ObjectBoxes.of(scene, classes, max(1, len(scene.objects))), classes, labels["depth"]
+                objects, scene, ObjectBoxes.of(scene, classes, max(1, len(scene.objects))), classes, made["depth"]
             )
             for axes, field in zip(images, fields, strict=True):
-                draw_label(figure, axes, scene, field, labels[field])
+                draw_label(figure, axes, scene, field, made[field])
         return save_png(figure, picture)
 
 

@@ -16,6 +16,7 @@ from datagen.labels import OBJECT_TABLES, make_labels
 from datagen.labels.frame import scan_place
 from datagen.records import Capture, Scene, TimeAxis
 from datagen.records.arrays import Floats
+from datagen.records.checks import option
 from datagen.report.curves import draw_counts, draw_parts
 from datagen.report.labels import DRAWN, draw_label, labels_page
 from datagen.report.replay import Light, Replay, StoredScene, read_scene, replay
@@ -52,7 +53,7 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     root = Path(dataset).resolve()
     folder = root.with_name(f"{root.name}.show") if out is None else Path(out)
     # Found before the scene is simulated, which may take minutes.
-    check_writable(folder, " with --out")
+    check_writable(folder, f" with {option('out')}")
     with house_style():
         why = why_roomless(stored.config, stored.missing)
         made = pages(stored, replay(stored)) if why is None else stored_pages(stored, why)

@@ -11,6 +11,7 @@ from warnings import warn
 
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError, InputWarning
+from datagen.records.checks import as_given, option
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
 from datagen.report.pages import pages, stored_pages
@@ -45,14 +46,14 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
     InputError : no dataset, no scene in it yet, a mesh file that has changed, or an output that cannot be written.
     """
     if not 0 <= scenes <= MOST_SCENES:
-        raise InputError(f"--scenes {scenes}: must lie in 0 … {MOST_SCENES}")
+        raise InputError(f"{as_given('scenes', scenes)}: must lie in 0 … {MOST_SCENES}")
     root = Path(dataset)
     manifest = read_manifest(root)
     described = Description(manifest, each_committed(root, manifest))
     if not described.made:
         raise InputError(f"{dataset}: no scene is there yet; run `datagen build` again, then preview it")
     out = root.resolve().with_name(root.resolve().name + ".html") if out_html is None else Path(out_html)
-    check_writable(out.parent, " with --out")
+    check_writable(out.parent, f" with {option('out')}")
     with house_style():
         text = "\n".join(_page(root, described, scenes))
     try:

@@ -21,6 +21,7 @@ from matplotlib.gridspec import GridSpec
 
 from datagen.errors import InputError
 from datagen.records import Scene
+from datagen.records.checks import as_given
 
 DPI = 110
 INK = "#222222"
@@ -131,11 +132,11 @@ def empty_note(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes, color="#777777", wrap=True)
 
 
-def check_png(out: str | Path) -> Path:
-    """`out` as a path; raises `InputError` for a name that is no PNG's."""
+def check_png(out: str | Path, argument: str = "out") -> Path:
+    """`out` as a path; raises `InputError` for a name that is no PNG's, which calls it `argument`."""
     path = Path(out)
     if path.suffix.lower() != ".png":
-        raise InputError(f"OUT = {str(out)!r}: pictures are PNG files; name one such as sheet.png")
+        raise InputError(f"{as_given(argument, str(out))}: pictures are PNG files; name one such as sheet.png")
     return path
 
 

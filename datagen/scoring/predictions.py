@@ -63,10 +63,8 @@ def read_predictions(source: str | Path | Mapping[str, Any], truth: Truth) -> Pr
         raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
     for name in arrays:
         if name not in ("scene", *QUANTITIES, SUITE):
-            hint = near_hint(name, QUANTITIES)
-            raise InputError(
-                f"{where}: unknown array {name!r}; {hint}Known are scene, {', '.join(QUANTITIES)}, {SUITE}"
-            )
+            hint = near_hint(name, QUANTITIES, f"known are scene, {', '.join(QUANTITIES)}, {SUITE}")
+            raise InputError(f"{where}: unknown array {name!r}; {hint}")
     if (of := str(np.asarray(arrays.pop(SUITE, "")))) not in ("", truth.manifest.config["name"]):
         raise InputError(f"{where}: predicts {of[:100]!r}, not {truth.manifest.config['name']!r}; name its own suite")
     if len(arrays) == 1:

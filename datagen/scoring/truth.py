@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError
 from datagen.labels.boxes import objects_seen
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.records.checks import as_given
 from datagen.store import DatasetReader, Manifest, read_manifest
 from datagen.store.location import location_of
 from datagen.store.summaries import LEAST
@@ -86,7 +87,7 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     scenes = [k for k, name in enumerate(splits) if name == split and table["failure"][k].as_py() is None]
     if not scenes:
         there = ", ".join(sorted({str(name) for name in splits if name}))
-        raise InputError(f"--split {split}: {dataset} has {there or 'no scenes'}")
+        raise InputError(f"{as_given('split', split)}: {dataset} has {there or 'no scenes'}")
     volume = ["occupancy"] if "occupancy" in fields else []
     reader = DatasetReader(root, manifest, [*NEEDED, *volume])
     got: dict[str, Any] = {name: reader.read(name, scenes) for name in (*NEEDED, *volume)}

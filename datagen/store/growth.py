@@ -25,6 +25,7 @@ from pathlib import Path
 
 from datagen.errors import InputError
 from datagen.locks import locked
+from datagen.records.checks import as_given
 from datagen.store.arrays import GROUP
 from datagen.store.files import PARTIAL, move, own_path
 from datagen.store.location import Location
@@ -64,7 +65,7 @@ def growth_line(root: Location, manifest: Manifest) -> str:
     there = {shard for shard in recorded_shards(root) if shard >= own.shards} | {*recorded_shards(root / GROWTH)}
     return (
         f"growth to {schema.scenes} scenes not complete ({len(there & shards)} of its {len(shards)} shards are there)"
-        f"; build with --scenes {schema.scenes} to go on"
+        f"; build with {as_given('scenes', schema.scenes)} to go on"
     )
 
 

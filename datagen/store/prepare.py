@@ -12,6 +12,7 @@ from datagen.config import DatasetConfig, time_axes
 from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
 from datagen.locks import alone_in
+from datagen.records.checks import as_given
 from datagen.store.arrays import GROUP, coordinates, metadata_files
 from datagen.store.files import PARTIAL, clear_partials, holds, own_path, write_first, write_if_changed
 from datagen.store.growth import growth_of, remove_empty, standing_shards, take_places
@@ -168,7 +169,7 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     if last.last_scene >= config.scenes:
         raise InputError(
             f"output {root}: has no sound dataset.json, and shards up to scene {last.last_scene}; ask for at least "
-            f"--scenes {last.last_scene + 1}"
+            f"{as_given('scenes', last.last_scene + 1)}"
         )
     # Shard s begins at scene s · scenes_per_shard.
     k = last.first_scene // last.shard if last.shard else 0

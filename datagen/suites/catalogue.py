@@ -11,7 +11,7 @@ from datagen.building.build import build
 from datagen.config import DatasetConfig, load_config
 from datagen.config.base import near_hint
 from datagen.errors import CheckError, InputError
-from datagen.records.checks import check_kind
+from datagen.records.checks import as_given, check_kind
 from datagen.store import Manifest, read_manifest
 from datagen.store.card import readable
 from datagen.store.files import bytes_below
@@ -54,10 +54,8 @@ SUITES: dict[str, Suite] = {path.stem: Suite(path.stem) for path in sorted(FOLDE
 def find_suite(name: str) -> Suite:
     """The suite of a name. Raises `InputError` for an unknown name."""
     if name not in SUITES:
-        hint = near_hint(name, SUITES, 0.4)
-        raise InputError(
-            f"NAME = {name!r}: no such suite; {hint}{'There' if hint else 'there'} are {', '.join(SUITES)}"
-        )
+        hint = near_hint(name, SUITES, f"there are {', '.join(SUITES)}", 0.4)
+        raise InputError(f"{as_given('name', name)}: no such suite; {hint}")
     return SUITES[name]
 
 

@@ -318,7 +318,7 @@ def test_a_scene_that_could_not_be_made(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     """Then, and not now; or neither; or now alone."""
-    root = stored_as(tmp_path / "set", "took longer than 5 s (--scene-seconds)", made)
+    root = stored_as(tmp_path / "set", "took longer than 5 s (scene_seconds)", made)
     assert run(["replay", str(root), "1"]) == 1
     err = capsys.readouterr().err
     assert "could not be made when it was built (took longer" in err and "can be made now" in err
@@ -329,7 +329,7 @@ def test_a_scene_that_could_not_be_made(
 
     monkeypatch.setattr(module, "simulate_sample", refuse)
     for dataset, status, piece in (
-        (root, 2, "cannot be made now (took longer than 5 s (--scene-seconds); now: no room for the box)"),
+        (root, 2, "cannot be made now (took longer than 5 s (scene_seconds); now: no room for the box)"),
         (built, 1, "scene 1 cannot be made again: no room for the box"),
     ):
         assert run(["replay", str(dataset), "1"]) == status

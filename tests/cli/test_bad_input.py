@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import sys
 import warnings
+from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -11,12 +14,15 @@ import click
 import pytest
 import trimesh
 
+import datagen as dg
 from datagen.building.input_check import check_inputs
-from datagen.cli import run
+from datagen.cli import cli, run
 from datagen.config import load_config
-from datagen.errors import InputWarning
+from datagen.errors import InputError, InputWarning
 from datagen.exit_status import guarded
+from datagen.store import prepare
 
+PACKAGE = Path(dg.__file__).parent
 SMALL = """
 scenes: 2
 capture: {scan: {rows: 2, columns: 2}, time: {bins: 16}}
@@ -121,6 +127,92 @@ def test_arguments(here: Path, capsys: pytest.CaptureFixture[str], arguments: li
     Path("nan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 nan 0\nf 1 2 3\n")
     Path("nan.yaml").write_text("scene: {contents: [{kind: mesh, path: nan.obj}]}")
     assert piece in refused(capsys, *arguments)
+
+
+def whole_numbers() -> Iterator[tuple[str, str]]:
+    """(command, name of an option or argument) of every whole number on the command line."""
+
+    def commands(group: click.Group, prefix: str) -> Iterator[tuple[str, click.Command]]:
+        for name in group.list_commands(click.Context(group)):
+            command = group.get_command(click.Context(group), name)
+            assert command is not None
+            below = commands(command, f"{name} ") if isinstance(command, click.Group) else [(prefix + name, command)]
+            yield from below
+
+    for command, found in commands(cli, ""):
+        for parameter in found.params:
+            if isinstance(parameter.type, click.types.IntParamType):
+                yield command, parameter.opts[-1]
+
+
+BESIDE = {
+    "plan": "config.yaml", "build": "config.yaml out", "verify": "set", "show": "set", "replay": "set",
+    "preview": "set", "sheet": "config.yaml out.png", "suite": "letters-1 out", "import": "a.mat out",
+    "baseline": "mean set out.npz", "bench accuracy": "config.yaml", "bench stages": "config.yaml",
+}  # fmt: skip
+"""What else a command needs before it looks at its whole numbers."""
+MEANT = {
+    "show index 0", "replay scene 0", "bench accuracy --scene 0", "preview --scenes 0", "baseline --seed 0",
+}  # fmt: skip
+"""Whole numbers below 1 that mean something."""
+
+
+def test_whole_numbers_that_mean_nothing_are_refused(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    prepare(here / "set", load_config("config.yaml"))
+    names = [*whole_numbers()]
+    assert len(names) > 12
+    for command, name in names:
+        for value in ("0", "-1"):
+            if f"{command} {name} {value}" not in MEANT:
+                given = [name, value] if name.startswith("-") else ["--", value]
+                line = refused(capsys, *command.split(), *BESIDE[command].split(), *given).lower()
+                assert name.removeprefix("--") in line and value in line, line
+
+
+def option_words(source: str) -> Iterator[str]:
+    """Texts of a module, but for docstrings, that have a word that looks like an option of a command."""
+    tree = ast.parse(source)
+    documents = {
+        id(node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+            # A whole command may be named to anybody, and only a command that runs another one has its options alone.
+            yield from re.findall(r"(?<!datagen )--[a-z][a-z-]*", re.sub(r"`[^`]*`", "", node.value))
+
+
+def test_only_the_command_line_speaks_of_its_options() -> None:
+    """Who calls a function in Python reads the name of its argument, `datagen.records.checks.as_given`."""
+    found = {
+        (str(path.relative_to(PACKAGE)), word)
+        for path in PACKAGE.rglob("*.py")
+        if path.name != "cli.py" and path.parent.name != "bench"
+        for word in option_words(path.read_text(encoding="utf-8"))
+    }
+    git = {("store/environment.py", word) for word in ("--porcelain", "--untracked-files")}
+    again = {("paper/reproduce.py", word) for word in ("--config", "--quick")}
+    assert found == git | again | {("exit_status.py", "--help")}
+
+
+def test_an_argument_is_named_as_its_user_writes_it(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InputError, match=r"^scenes = 1\.5: must be ≥ 1"):
+        load_config("config.yaml").with_scenes(1.5)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"^workers = 0: must be"):
+        dg.build(load_config("config.yaml"), "out", 0)
+    with pytest.raises(InputError, match=r"^bin_width = 'wide': must be a time"):
+        dg.import_captures("a.mat", "out", bin_width="wide")
+    assert "--bin wide: must be a time" in refused(capsys, "import", "a.mat", "out", "--bin", "wide")
+
+    # Somebody else's command has options of its own.
+    @click.command()
+    @click.option("--workers", type=int)
+    def theirs(workers: int) -> None:
+        dg.build(load_config("config.yaml"), "out", workers)
+
+    assert guarded(theirs, ["--workers", "0"]) == 2
+    assert capsys.readouterr().err.startswith("datagen: workers = 0: must be")
 
 
 def test_an_engine_whose_package_is_missing_says_what_to_install(

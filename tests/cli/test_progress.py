@@ -75,6 +75,25 @@ def test_a_log_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 40 < len(lines) < 70
 
 
+def test_a_log_gets_no_line_twice(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Steps that recur, a scene that takes an hour, and tables that are written after the last scene."""
+    now = [progress.LINE_S]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    shown = Progress(True)
+    now[0] *= 2
+    for step in ("fit", "trial", "fit", "trial"):
+        now[0] += progress.LINE_S
+        shown.doing(step)
+    shown.begin(3, 0)
+    for done, in_work, failures in ((0, (0,), 0), (1, (1,), 0), (2, (2,), 1), (3, (2,), 1), (3, (), 1)):
+        for _ in range(10):
+            now[0] += 360.0
+            shown.update(done, in_work, failures)
+    said = [re.sub(r", [\d.e-]+ scenes/s, \d+ s left", "", line) for line in capsys.readouterr().err.splitlines()]
+    scenes = ["0 of 3 scenes; scene 0 in work", "1 of 3 scenes; scene 1 in work"]
+    assert said == ["fit", "trial", *scenes, "2 of 3 scenes, 1 failed; scene 2 in work", "3 of 3 scenes, 1 failed"]
+
+
 ANEW = "not finished, run the same command again: it begins anew"
 FINISHED_FILES = "files that are finished stay, the same command writes all of them again"
 

@@ -76,9 +76,9 @@ def test_wrong_frames_are_refused_in_a_line_and_nothing_is_made(frames: Path, tm
     fractions = tmp_path / "fractions.npy"
     np.save(fractions, np.full((2, 9, 128), 0.5))
     for file, options, named in (
-        (frames, {}, "--device tmf8820"),
+        (frames, {}, "device = 'tmf8820'"),
         (frames, {"device": "vl53l1x"}, "9 zones of 128 bins, vl53l1x has 1 of"),
-        (frames, {"device": "tmf8820", "bins": 4}, "leave --bin-width"),
+        (frames, {"device": "tmf8820", "bins": 4}, "leave bin_width, wall"),
         (fractions, {"device": "tmf8820"}, "fractions"),
     ):
         with pytest.raises(InputError, match=named):

@@ -155,7 +155,7 @@ def test_scans_too_large_for_matlab_are_refused_in_a_line(
     made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("datagen.formats.matlab._LARGEST_BYTES", 1000)
-    with pytest.raises(InputError, match=r"^scene 1: meas would have .* take --format h5 or npz$"):
+    with pytest.raises(InputError, match=r"^scene 1: meas would have .* take format h5 or npz$"):
         export(made("confocal"), tmp_path / "files", "mat", "1")
     assert list((tmp_path / "files").iterdir()) == []
 
@@ -280,11 +280,11 @@ def test_hub_folder_is_read_by_datasets(made: Any, tmp_path: Path) -> None:
 
 def test_bad_requests_are_refused_in_a_line(made: Any, tmp_path: Path) -> None:
     for options, piece in (
-        ({"format": "doc"}, "--format doc"),
-        ({"format": "npz", "scenes": "0-5"}, "--scenes 0-5"),
-        ({"format": "npz", "scenes": "x"}, "--scenes x"),
-        ({"format": "npz", "field": "transient"}, "--field transient"),
-        ({"format": "hub", "scenes": "0"}, "--scenes"),
+        ({"format": "doc"}, "format = 'doc'"),
+        ({"format": "npz", "scenes": "0-5"}, "scenes = '0-5'"),
+        ({"format": "npz", "scenes": "x"}, "scenes = 'x'"),
+        ({"format": "npz", "field": "transient"}, "field = 'transient'"),
+        ({"format": "hub", "scenes": "0"}, "^scenes: "),
     ):
         with pytest.raises(InputError, match=piece) as error:
             export(made("confocal"), tmp_path / "out", **options)  # type: ignore[arg-type]

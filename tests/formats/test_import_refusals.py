@@ -30,23 +30,23 @@ TAL: dict[str, Case] = {
     "other grid": ({"h": H[..., :2]}, {}, "does not fit H"),
     "points in a plane": ({"lit": SEEN[..., :2], "seen": SEEN[..., :2]}, {}, "(…, 3) needed"),
     "a point at infinity": ({"seen": FAR}, {}, "sensor_grid_xyz"),
-    "no bin width": ({"delta_t": None}, {}, "--bin"),
-    "another bin width": ({}, {"bin_width": "4ps"}, "--bin 4ps"),
+    "no bin width": ({"delta_t": None}, {}, "bin_width = '4ps'"),
+    "another bin width": ({}, {"bin_width": "4ps"}, "bin_width = '4ps'"),
     "a bin width of 0": ({"delta_t": 0.0}, {}, "bin_width_ps"),
     "no place of the laser": ({"laser_xyz": None}, {}, "laser_xyz"),
     "negative": ({"h": H - 2}, {}, "negative"),
     "NaN": ({"h": H * np.float32("nan")}, {}, "NaN"),
-    "fractions as counts": ({"h": H / 2}, {"field": "histogram"}, "--field histogram"),
-    "counts beyond 32 bits": ({"h": H.astype(np.float64) * 2.0**33}, {}, "--field transient"),
+    "fractions as counts": ({"h": H / 2}, {"field": "histogram"}, "field = 'histogram'"),
+    "counts beyond 32 bits": ({"h": H.astype(np.float64) * 2.0**33}, {}, "field = 'transient'"),
     "complex": ({"h": H * 1j}, {}, "complex"),
-    "too few bins": ({}, {"bins": 9}, "--bins 9"),
-    "a wall for y-tal": ({}, {"wall": "2m"}, "--wall"),
+    "too few bins": ({}, {"bins": 9}, "bins = 9"),
+    "a wall for y-tal": ({}, {"wall": "2m"}, "wall"),
 }
 """Kind → what differs from a sound capture, options of the import, a piece of the refusal."""
 WALL, WIDTH = {"bin_width": "4ps", "wall": 2.0}, {"bin_width": "4ps"}
 MAT: dict[str, Case] = {
-    "no wall": ({"meas": H}, WIDTH | {"tof": "none"}, "--wall"),
-    "no delays": ({"meas": H}, WALL, "--tof"),
+    "no wall": ({"meas": H}, WIDTH | {"tof": "none"}, "wall"),
+    "no delays": ({"meas": H}, WALL, "tof"),
     "other delays": ({"meas": H, "tofgrid": np.zeros((2, 2))}, WALL, "(2, 2)"),
     "delays beyond all": ({"meas": H, "tofgrid": np.full((3, 3), 1e4)}, WALL, "ps"),
     "frames": ({"meas": np.ones((2, 3, 3, 8))}, WALL | {"tof": "none"}, "(2, 3, 3, 8)"),
@@ -54,8 +54,8 @@ MAT: dict[str, Case] = {
     "another program's": ({"dataset": H}, {}, "rect_data"),
     "pairs that do not fit": ({"trans_data": H[0], "camera_points": H[0], "laser_points": np.ones((2, 3))}, WIDTH,
                               "(N, 3)"),
-    "no bin width": ({"rect_data": H, "width": 0.4}, {}, "--bin 4ps"),
-    "another wall": ({"rect_data": H, "width": 0.4}, {"bin_width": "4ps", "wall": "2m"}, "--wall"),
+    "no bin width": ({"rect_data": H, "width": 0.4}, {}, "bin_width = '4ps'"),
+    "another wall": ({"rect_data": H, "width": 0.4}, {"bin_width": "4ps", "wall": "2m"}, "wall"),
 }  # fmt: skip
 """Kind → variables of the file, options, a piece of the refusal."""
 
@@ -144,9 +144,9 @@ def test_files_that_are_damaged(kind: str, tmp_path: Path) -> None:
 
 def test_files_that_do_not_go_together(tmp_path: Path) -> None:
     one = tal_file(tmp_path / "c.hdf5")
-    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H[:4])], "--bins 4")
-    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H / 2)], "--field transient")
-    refuse(tmp_path, tal_file(tmp_path / "capture"), "--format")
+    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H[:4])], "bins = 4")
+    refuse(tmp_path, [one, tal_file(tmp_path / "d.hdf5", H / 2)], "field = 'transient'")
+    refuse(tmp_path, tal_file(tmp_path / "capture"), "say format, one of")
 
 
 def test_the_command_refuses_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

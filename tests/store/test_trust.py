@@ -85,7 +85,7 @@ def test_shards_of_another_configuration_restore_nothing(dataset: Path) -> None:
     before = set(dataset.rglob("*"))
     with pytest.raises(InputError, match=r"no sound dataset\.json, and shard 0 was made with another configuration"):
         again(dataset, small_config(seed=4))
-    with pytest.raises(InputError, match=r"shards up to scene 11; ask for at least --scenes 12"):
+    with pytest.raises(InputError, match=r"shards up to scene 11; ask for at least scenes = 12"):
         again(dataset, scenes=5)
     shutil.rmtree(dataset / "build")
     with pytest.raises(InputError, match=r"no dataset\.json"):
@@ -112,7 +112,9 @@ def made_elsewhere(root: Path, shard: int = 1, **changes: str) -> None:
 def test_other_versions_are_mixed_only_if_the_user_accepts_it(dataset: Path) -> None:
     made_elsewhere(dataset, numpy="1.26.0", processor="another")
     before = content(dataset)
-    with pytest.raises(InputError, match=r"shard 1 and this machine differ in numpy 1\.26\.0 and .*--accept-mixed"):
+    with pytest.raises(
+        InputError, match=r"shard 1 and this machine differ in numpy 1\.26\.0 and .*accept_mixed = True"
+    ):
         again(dataset, scenes=16)
     assert content(dataset) == before
     assert again(dataset, scenes=16, accept_mixed=True).complete
@@ -153,7 +155,7 @@ def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None
 
 def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(build, "made_with", lambda: made_with() | {"numba": "0.1"})
-    with pytest.raises(CheckError, match=r"a worker differs in numba 0\.1 and .*--accept-mixed"):
+    with pytest.raises(CheckError, match=r"a worker differs in numba 0\.1 and .*accept_mixed = True"):
         again(tmp_path / "set")
     assert not list(tmp_path.glob("set/build/*.json"))
 
@@ -201,7 +203,7 @@ def test_only_scenes_that_failed_are_tried_anew(pristine: Path, tmp_path: Path) 
 @pytest.mark.parametrize(("sample", "workers"), [(hangs_at_5, 1), (deaf_at_5, 2)])
 def test_a_scene_that_hangs_is_given_up(tmp_path: Path, sample: object, workers: int) -> None:
     """One that an exception can reach costs itself alone; one that it cannot, its worker."""
-    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: took longer than 0\.3 s \(--scene-seconds\)"):
+    with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: took longer than 0\.3 s \(scene_seconds\)"):
         again(tmp_path / "set", workers=workers, sample_function=sample, scene_seconds=0.3)
     assert len(verify(tmp_path / "set").problems) == 1
 
