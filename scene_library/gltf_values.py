@@ -9,6 +9,7 @@ import base64
 import json
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,8 +164,10 @@ class Gltf:
         if "uri" in buffer:
             if number not in self._unpacked:
                 # `check_buffers` has seen that it stands here.
-                text = buffer["uri"].partition(",")[2]
-                self._unpacked[number] = memoryview(base64.b64decode(text, validate=True))
+                head, _, text = buffer["uri"].partition(",")
+                is_packed = head.lower().endswith(";base64")
+                unpacked = base64.b64decode(text, validate=True) if is_packed else unquote_to_bytes(text)
+                self._unpacked[number] = memoryview(unpacked)
             content = self._unpacked[number]
         elif number == 0 and len(self.binary):
             content = self.binary
@@ -180,8 +183,8 @@ class Gltf:
     def check_buffers(self) -> None:
         """Raise `BadMesh` for a buffer in another file, which is not opened."""
         for number, buffer in enumerate(self.all("buffers")):
-            uri = buffer.get("uri", "data:;base64,")
-            if not (isinstance(uri, str) and uri.startswith("data:") and uri.partition(",")[0].endswith(";base64")):
+            uri = buffer.get("uri", "data:,")
+            if not (isinstance(uri, str) and uri[:5].lower() == "data:"):
                 raise BadMesh(
                     f"has its numbers (buffer {number}) in another file, {str(uri)[:60]!r}, and no other file is "
                     "opened; export it as one .glb"

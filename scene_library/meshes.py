@@ -169,6 +169,8 @@ def _read(path: Path, options: MeshOptions) -> MeshFile:
         if len(mesh.vertices):
             raise BadMesh("is a point cloud or holds only lines, and has no triangles; reconstruct a surface first")
         raise BadMesh("holds no triangles, or is cut short; export a surface mesh again")
+    if mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices):
+        raise BadMesh(f"names vertices that it does not hold (1 … {len(mesh.vertices)} exist); export it again")
     return mesh
 
 
@@ -227,8 +229,6 @@ def _triangles_told(path: Path) -> int:
 
 def cleaned(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
     """Merge vertices that coincide; drop triangles without area, repeated triangles and unused vertices."""
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise BadMesh(f"names vertices that it does not hold (1 … {len(vertices)} exist); export it again")
     vertices, faces = _without_unused(vertices, faces)
     bad = np.count_nonzero(~np.isfinite(vertices).all(axis=1))
     if bad:

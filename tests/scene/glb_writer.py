@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote_from_bytes
 
 import numpy as np
 import trimesh
@@ -414,14 +416,27 @@ def draco_beside_its_plain_numbers(glb: Glb) -> None:
     with_draco(glb)
 
 
+def in_the_json(glb: Glb, head: str, text: str) -> None:
+    glb.tree["buffers"] = [{"byteLength": len(glb.blob), "uri": f"{head},{text}"}]
+    glb.blob = b""
+
+
 @read
 def a_buffer_in_the_json(glb: Glb) -> None:
-    import base64
-
     plain(glb)
-    text = base64.b64encode(glb.blob).decode()
-    glb.tree["buffers"] = [{"byteLength": len(glb.blob), "uri": f"data:application/octet-stream;base64,{text}"}]
-    glb.blob = b""
+    in_the_json(glb, "data:application/octet-stream;base64", base64.b64encode(glb.blob).decode())
+
+
+@read
+def a_buffer_in_the_json_in_capitals(glb: Glb) -> None:
+    plain(glb)
+    in_the_json(glb, "DATA:Application/Octet-Stream;Base64", base64.b64encode(glb.blob).decode())
+
+
+@read
+def a_buffer_in_the_json_without_base64(glb: Glb) -> None:
+    plain(glb)
+    in_the_json(glb, "data:application/octet-stream", quote_from_bytes(glb.blob))
 
 
 @read

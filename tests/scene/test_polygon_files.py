@@ -179,6 +179,7 @@ def test_no_line_of_an_obj_file_swallows_another(tmp_path: Path, name: str) -> N
         (OBJ.replace("f ", "v 1 2\nf ", 1), r"^cannot be parsed \(a vertex of fewer than three coordinates"),
         (OBJ.replace("f ", "v\nf ", 1), r"^cannot be parsed \(a vertex of fewer than three coordinates"),
         (OBJ.replace("f ", "f 1 2 x\nf ", 1), r"^cannot be parsed"),
+        *((OBJ + f"f 1 2 {n}\n", r"^names vertices that it does not hold \(1 … 8 exist\)") for n in (0, 9, -9)),
         (OBJ + "surf 0 1 0 1 1 2 3\n", r"^has lines 'surf', which bring surfaces that are no polygons"),
         (OBJ + "call more.obj\n", r"^has lines 'call'"),
         (OBJ.replace("\n", "\n\0\0", 1), r"^is text with NUL bytes in it, so it is damaged"),
