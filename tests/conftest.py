@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from here_and_now import one_worker_here
@@ -13,33 +15,45 @@ from here_and_now import one_worker_here
 for _library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
+# Tests start a hundred processes. Where Python is told to keep no bytecode beside sources, each of them would compile
+# those of torch and numba anew, for some seconds.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).resolve().parents[1] / ".pytest_cache/bytecode")
+    sys.pycache_prefix, sys.dont_write_bytecode = os.environ["PYTHONPYCACHEPREFIX"], False
+
 FIRST = (
     "physics/test_accuracy_target.py",
-    "equivalence/test_all_ways.py",
     "detector/test_laws.py",
     "detector/test_samplers.py",
     "detector/test_numerics.py",
     "detector/test_interface.py",
-    "cli/test_readme.py",
+    "store/test_fresh_noise.py",
+    "store/test_growth.py",
     "store/test_object_stores.py",
-    "paper/test_radiometric.py",
+    "store/test_resuming.py",
+    "store/test_in_use.py",
+    "store/test_items_kept.py",
+    "store/test_build.py",
+    "equivalence/test_all_ways.py",
+    "formats/test_imports.py",
+    "store/test_kills.py",
     "fuzz/test_fuzz_transport.py",
+    "cli/test_readme.py",
+    "paper/test_radiometric.py",
     "devices/test_devices_in_configs.py",
     "devices/test_compare.py",
     "effects/test_switchboard.py",
     "evidence/test_in_sight.py",
-    "store/test_build.py",
-    "formats/test_imports.py",
-    "store/test_kills.py",
     "evidence/test_presence.py",
     "capture/test_configs_built.py",
     "physics/test_primary_truths.py",
     "physics/test_all_bounces.py",
     "report/test_reproduce.py",
 )
-"""A file goes to one process as a whole, in this order. While one process compiles the transport's kernels, the other
-has files that need none of them: it compiles those of the detector, then draws rooms and pictures and stores what is
-made up, and need not wait. A long file begun last would leave the other process idle.
+"""A file goes to one process as a whole, in this order: the next one to the process that has two tests left. While
+one process compiles the transport's kernels with the first file, the other has files that need none of them, up to
+`test_all_ways.py`: it compiles those of the detector, and stores what is made up. Two processes that need a kernel at
+once both compile it. A long file begun last would leave the other process idle.
 """
 
 

@@ -265,8 +265,12 @@ COPIES: dict[str, Callable[[TransientDataset], TransientDataset]] = {
 }
 
 
-@pytest.mark.parametrize("workers", [{}, FORK, FORK | {"persistent_workers": True}], ids=["none", "2", "persistent"])
-@pytest.mark.parametrize("copied", COPIES)
+@pytest.mark.parametrize(
+    ("copied", "workers"),
+    [*((kind, {}) for kind in COPIES), *((kind, FORK) for kind in COPIES),
+     ("deepcopy", FORK | {"persistent_workers": True})],
+    ids=[*(f"{kind}-none" for kind in COPIES), *(f"{kind}-2" for kind in COPIES), "deepcopy-persistent"],
+)  # fmt: skip
 def test_a_copy_has_new_noise_at_every_read(
     data: TransientDataset, dataset: Path, copied: str, workers: dict[str, Any]
 ) -> None:
@@ -345,12 +349,12 @@ def test_every_read_of_an_epoch_has_a_draw_of_its_own(dataset: Path, way: str, w
         loader = DataLoader(often, 4, sampler=order, **options)
         return [set(reads_of(loader)) for _ in range(epochs)]
 
-    found = run(0, 3, **workers)
-    assert len(set().union(*found)) == 3 * REPEATED[way][1]
+    found = run(0, 2, **workers)
+    assert len(set().union(*found)) == 2 * REPEATED[way][1]
     for epoch, draws in enumerate(found):
         due = {(scene, counts.numpy().tobytes()) for scene, counts in draws_of(dataset, epoch).items()}
         assert due & draws == {(scene, counts) for scene, counts in due if scene in {scene for scene, _ in draws}}
-    assert run(2, 1) == found[2:]
+    assert run(1, 1) == found[1:]
 
 
 @pytest.mark.parametrize("ranks", [2, 3, 5])

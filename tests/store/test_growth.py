@@ -115,7 +115,7 @@ def check_old_or_new(root: Path, small: Path, large: Path, before: TransientData
     return scenes
 
 
-@pytest.mark.parametrize("number", [4, pytest.param(None, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("number", [2, pytest.param(None, marks=pytest.mark.nightly)])
 def test_a_growth_that_is_killed_between_any_two_steps(
     tmp_path: Path, small: Path, large: Path, number: int | None
 ) -> None:
