@@ -9,7 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 
 
 class Purpose(IntEnum):
@@ -56,7 +56,7 @@ def seed_sequence(
     """numpy's `SeedSequence` of one purpose of one scene; its spawn key is (purpose, scene, attempt, part)."""
     for name, value in (("seed", dataset_seed), ("index", scene_index)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0:
-            raise InputError(f"{name} = {value!r}: must be an integer ≥ 0")
+            raise InputError(f"{name} = {shown(value)}: must be an integer ≥ 0")
     return np.random.SeedSequence(dataset_seed, spawn_key=(int(purpose), scene_index, attempt, part))
 
 

@@ -57,6 +57,9 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
     try:
         # Without O_NONBLOCK opening a pipe would wait for a writer.
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except ValueError:
+        # No path has a null character; files from elsewhere may name such a one.
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path)) from None
     except OSError as error:
         if error.errno in (errno.EMFILE, errno.ENFILE):
             raise CheckError(f"{path}: this process has too many files open; allow more (`ulimit -n`)") from None
@@ -79,11 +82,12 @@ def content_of(path: Path) -> bytes:
 
 def why_no_file(path: Path) -> str | None:
     """Words on what is in the place of a plain file; None if there is one."""
-    if path.is_file():
+    # These of `os.path` say no to names that no file can have; pathlib's raise.
+    if os.path.isfile(path):
         return None
-    if path.is_dir():
+    if os.path.isdir(path):
         return "is a directory"
-    return NO_PLAIN_FILE if path.exists() else "no such file"
+    return NO_PLAIN_FILE if os.path.exists(path) else "no such file"
 
 
 @contextmanager

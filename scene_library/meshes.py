@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,8 +75,9 @@ def unit_mesh_and_doubt(path: Path, options: MeshOptions) -> tuple[Solid, str]:
     """`unit_mesh`, and what the file leaves open (`MeshFile.doubt`)."""
     try:
         state = path.stat()
-    except OSError as error:
-        raise BadMesh(f"cannot be read ({error.strerror or error})") from None
+    except (OSError, ValueError) as error:
+        # A ValueError for a null character, which no path has.
+        raise BadMesh(f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
     key = (str(path.resolve()), state.st_mtime_ns, state.st_size, options)
     if key not in _cache:
         if len(_cache) >= MESHES_KEPT:
@@ -87,7 +89,7 @@ def unit_mesh_and_doubt(path: Path, options: MeshOptions) -> tuple[Solid, str]:
 def read_mesh(path: Path) -> MeshFile:
     """The surface of a mesh file, in its own coordinates, or, where its format fixes another axis than z as up,
     turned about x until z is up. Raises `BadMesh`."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise BadMesh("cannot be read (no such file)")
     mesh = _read(path, MeshOptions())
     if not np.isfinite(mesh.vertices).all():
@@ -142,7 +144,7 @@ def _read(path: Path, options: MeshOptions) -> MeshFile:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise BadMesh(f"is no mesh file that is known; convert it to one of {' '.join(SUFFIXES)}")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise BadMesh("is no plain file; name a mesh file")
     _check_content(path)
     try:

@@ -3,9 +3,12 @@ is legal and absurd is warned of."""
 
 from __future__ import annotations
 
+import inspect
+import math
 import warnings
 from collections.abc import Callable
-from functools import cache, partial
+from dataclasses import dataclass
+from functools import cache, cached_property, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,8 +17,11 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from datasets import write_dataset
+from pydantic import BaseModel
 
 import datagen as dg
+from datagen.config import config_from_mapping
 
 CONFIG = Path(__file__).parents[1] / "configs" / "quickstart.yaml"
 EYE = (2.0, -1.0, 1.0)
@@ -150,6 +156,254 @@ ALONE: dict[str, tuple[str, Callable[[], object]]] = {
     "capture_for without a wall": ("relay wall", lambda: dg.capture_for(config(), room())),
     "effect of another name": ("'fog'", lambda: dg.EffectDecisions((), 0.01)["fog"]),
 }
+
+
+PLACE = {"wall_width_m": 2.0, "height_m": 2.0, "device_height_m": 1.0, "relay_distance_m": 3.0}
+BOX = {"kind": "box", "width_m": 0.4, "depth_m": 0.3, "height_m": 0.5}
+
+
+@cache
+def tiny() -> dg.DatasetConfig:
+    return config_from_mapping({
+        "scenes": 1, "scene": {"layout": {"kind": "isolated_wall", **PLACE}, "contents": [BOX]},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 300}},
+        "transport": {"samples": 32}, "labels": {"rows": 4, "columns": 4},
+    })  # fmt: skip
+
+
+@cache
+def light() -> dg.Transient:
+    return dg.simulate(room(), CAPTURE, FEW)
+
+
+@cache
+def frames() -> dg.Frames:
+    poses, distances = np.stack([np.eye(4)] * 2), np.array([0.2, 0.3])
+    return dg.Frames("frames", np.ones((2, 9, dg.device("tmf8820").time.bins)), poses, distances)
+
+
+@dataclass(frozen=True)
+class Made:
+    """A folder with the dataset `set` of one scene, and `file`, which is none; and in the places that `hostile` names
+    there is a file, too."""
+
+    folder: Path
+
+    @property
+    def set(self) -> Path:
+        return self.folder / "set"
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "file"
+
+    @cached_property
+    def data(self) -> dg.TransientDataset:
+        return dg.TransientDataset(self.set)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    found = Made(tmp_path_factory.mktemp("calls"))
+    write_dataset(tiny(), found.set)
+    for place in (found.file, found.folder / "nonsense", found.folder / "x"):
+        place.write_text("mine")
+    return found
+
+
+Call = tuple[Callable[..., object], dict[str, Any]]
+MATERIALS = ("GGX", "Lambertian", "Material", "OrenNayar", "Phong", "Retroreflector", "SinLobe")
+POINTS = {"center": (0, 0, 1), "right": (0, 0.1, 0), "up": (0, 0, 0.1)}
+WITH: dict[str, Callable[[Made], Call]] = {
+    "Accuracy": lambda m: (dg.Accuracy, {}),
+    "AsPrinted": lambda m: (dg.AsPrinted, {}),
+    "BuildResult": lambda m: (dg.BuildResult, {
+        "path": "x", "scenes": 1, "built": 1, "kept": 0, "complete": True, "seconds": 1.0}),
+    "Calibration": lambda m: (dg.Calibration, {
+        "device": dg.device("tmf8820"), "fitted": {}, "tested_m": LIGHT, "measured": LIGHT, "modelled": LIGHT,
+        "held_out": True}),
+    "Capture": lambda m: (dg.Capture, {"laser": LASER, "sensor": SENSOR, "time": TIME}),
+    "Capture.excerpt": lambda m: (CAPTURE.excerpt, {"lasers": [0]}),
+    "Comparison": lambda m: (dg.Comparison, {
+        "source": "x", "simulated_as": "y", "fitted": {}, "steps": {}, "measured": LIGHT, "modelled": LIGHT}),
+    "DatasetConfig": lambda m: (dg.DatasetConfig, {}),
+    "DatasetConfig.with_scenes": lambda m: (tiny().with_scenes, {"scenes": 1}),
+    "Decision": lambda m: (dg.Decision, {
+        "effect": "gate", "setting": "auto", "simulated": True, "estimate": None, "kind": "detector",
+        "allowance": 0.1, "reason": ""}),
+    "Device": lambda m: (dg.Device, dict(dg.device("tmf8820"))),
+    "Device.at": lambda m: (dg.device("tmf8820").at, {"position": (0, 0, 0), "toward": (1, 0, 0)}),
+    "Device.at_pose": lambda m: (dg.device("tmf8820").at_pose, {"pose": np.eye(4)}),
+    "Device.source_of": lambda m: (dg.device("tmf8820").source_of, {"section": "time", "key": "bins"}),
+    "EffectDecisions": lambda m: (dg.EffectDecisions, {"decisions": (), "tolerance": 0.01}),
+    "EffectDecisions.apply_detector": lambda m: (
+        dg.EffectDecisions((), 0.01).apply_detector, {"spad": SPAD, "exposure": EXPOSURE}),
+    "EffectDecisions.apply_transport": lambda m: (
+        dg.EffectDecisions((), 0.01).apply_transport, {"scene": room(), "capture": CAPTURE, "accuracy": FEW}),
+    "EffectDecisions.__getitem__": lambda m: (dg.EffectDecisions((), 0.01).__getitem__, {"effect": "gate"}),
+    "EffectsConfig": lambda m: (dg.EffectsConfig, {}),
+    "EffectsConfig.of": lambda m: (dg.EffectsConfig().of, {"effect": "gate"}),
+    "EpochSampler": lambda m: (dg.EpochSampler, {"data": [1, 2]}),
+    "EpochSampler.load_state_dict": lambda m: (
+        dg.EpochSampler([1, 2]).load_state_dict, {"state": {"epoch": 0, "done": 1}}),
+    "EpochSampler.set_epoch": lambda m: (dg.EpochSampler([1, 2]).set_epoch, {"epoch": 1}),
+    "EpochSampler.state_dict": lambda m: (dg.EpochSampler([1, 2]).state_dict, {}),
+    "Evidence": lambda m: (dg.Evidence, {"detections": 1.0, "brightest_bin": 1.0, "significance": 1.0}),
+    "Exposure": lambda m: (dg.Exposure, {}),
+    "Fitted": lambda m: (dg.Fitted, {"value": 1.0, "error": 0.1}),
+    "Frames": lambda m: (dg.Frames, {"source": "x", "histograms": LIGHT}),
+    "Frames.some": lambda m: (frames().some, {"rows": [0]}),
+    "GeneratedDataset": lambda m: (dg.GeneratedDataset, {"config": tiny(), "ranks": 1}),
+    "GeneratedDataset.sample": lambda m: (dg.GeneratedDataset(tiny()).sample, {"scene": 0}),
+    "Laser": lambda m: (dg.Laser, {"position": EYE, "targets": [(0, 0, 1)]}),
+    "Laser.flood": lambda m: (dg.Laser.flood, {"position": EYE, "rows": 1, "columns": 1, **POINTS}),
+    "Laser.take": lambda m: (LASER.take, {"lasers": [0]}),
+    **{name: lambda m, name=name: (getattr(dg, name), {"albedo": 0.5}) for name in MATERIALS},
+    "Part": lambda m: (dg.Part, {"name": "box", "mesh": MESH, "material": WHITE}),
+    "Pose": lambda m: (dg.Pose, {"label": "box", "axes": np.eye(3)}),
+    "Pose.upright": lambda m: (dg.Pose.upright, {"label": "box"}),
+    "Presence": lambda m: (dg.Presence, {"detections": 1.0, "significance": 1.0, "floor": 0.1}),
+    "Pulse": lambda m: (dg.Pulse, {"samples": (1.0, 2.0), "width_s": 1e-10}),
+    "Rectangle": lambda m: (dg.Rectangle, POINTS),
+    "Rectangle.of": lambda m: (dg.Rectangle.of, POINTS),
+    "Sample": lambda m: (dg.Sample, {"index": 0, "arrays": {}, "parameters": {}, "seconds": {}}),
+    "Scene": lambda m: (dg.Scene, dict(vars(room()))),
+    "Scene.faces_of": lambda m: (lambda part: room().faces_of(part), {"part": "box"}),
+    "Scene.from_parts": lambda m: (dg.Scene.from_parts, {"parts": [wall()]}),
+    "Scene.pose_of": lambda m: (room().pose_of, {"part": "box"}),
+    "Scene.without": lambda m: (lambda part: room().without(part), {"part": "box"}),
+    "SceneConfig": lambda m: (dg.SceneConfig, {}),
+    "Scores": lambda m: (dg.Scores, {
+        "dataset": "x", "published": False, "split": "test", "scenes": 1, "scenes_with_evidence": 1, "all": {},
+        "with_evidence": {}}),
+    "Sensor": lambda m: (dg.Sensor, {"position": EYE, "pixels": SENSOR.pixels}),
+    "Sensor.grid": lambda m: (dg.Sensor.grid, {"position": EYE, "rows": 1, "columns": 2, **POINTS}),
+    "Sensor.take": lambda m: (SENSOR.take, {"pixels": [0]}),
+    "Spad": lambda m: (dg.Spad, {}),
+    "SuiteResult": lambda m: (dg.SuiteResult, {
+        "name": "x", "path": m.set, "difference": 0.0, "allowed": 1.0, "splits": {}, "bytes": 1}),
+    "TimeAxis": lambda m: (dg.TimeAxis, {"bins": 64, "width_s": 1e-10}),
+    "TimeAxis.beyond_period": lambda m: (TIME.beyond_period, {"repetition_rate_hz": 1e6}),
+    "TimeAxis.merged": lambda m: (TIME.merged, {"bins": 2}),
+    "Transient": lambda m: (dg.Transient, {
+        "time": TIME, "components": {"primary": LIGHT}, "parts": {}, "stderr": LIGHT, "overflow": LIGHT[..., 0],
+        "laser_points": np.zeros((1, 3))}),
+    "TransientDataset": lambda m: (dg.TransientDataset, {"path": m.set}),
+    "TransientDataset.__getitem__": lambda m: (m.data.__getitem__, {"item": 0}),
+    "TransientDataset.load_state_dict": lambda m: (m.data.load_state_dict, {"state": {}}),
+    "TransientDataset.parameters": lambda m: (m.data.parameters, {"name": "attempts"}),
+    "TransientDataset.set_epoch": lambda m: (m.data.set_epoch, {"epoch": 1}),
+    "TransientDataset.shape": lambda m: (m.data.shape, {"field": "depth"}),
+    "TransientDataset.time_of": lambda m: (m.data.time_of, {}),
+    "build": lambda m: (dg.build, {"config": tiny(), "path": m.file}),
+    "build_from": lambda m: (dg.build_from, {"scenes": [room()], "path": m.file, "capture": CAPTURE}),
+    "build_suite": lambda m: (dg.build_suite, {"name": "letters-1", "path": m.file}),
+    "calibrate": lambda m: (dg.calibrate, {"frames": frames(), "device": dg.device("tmf8820")}),
+    "capture_for": lambda m: (dg.capture_for, {"config": tiny(), "scene": dg.scene_for(tiny(), 0)}),
+    "collate": lambda m: (dg.collate, {"items": [m.data[0]]}),
+    "compare": lambda m: (dg.compare, {
+        "frames": frames(), "sensor": dg.device("tmf8820"), "parts": [box()], "fit": ()}),
+    "compare_datasets": lambda m: (dg.compare_datasets, {"recorded": m.set, "simulated": m.set}),
+    "dense": lambda m: (dg.dense, {
+        "events": torch.zeros((1, 3), dtype=torch.int16), "counts": torch.ones(1), "shape": (1, 1, 1)}),
+    "detect": lambda m: (dg.detect, {"transient": np.zeros(64), "time": TIME, "spad": SPAD, "exposure": EXPOSURE}),
+    "device": lambda m: (dg.device, {"name": "tmf8820"}),
+    "expected_histogram": lambda m: (dg.expected_histogram, {
+        "transient": np.zeros(64), "time": TIME, "spad": SPAD, "exposure": EXPOSURE}),
+    "generate_scene": lambda m: (dg.generate_scene, {"spec": tiny().scene, "seed": 0, "index": 0}),
+    "import_captures": lambda m: (dg.import_captures, {"files": m.file, "path": m.file}),
+    "load_config": lambda m: (dg.load_config, {"path": CONFIG}),
+    "own_evidence": lambda m: (dg.own_evidence, {"transient": light(), "spad": SPAD, "exposure": EXPOSURE}),
+    "plan_effects": lambda m: (dg.plan_effects, {
+        "scene": room(), "capture": CAPTURE, "accuracy": FEW, "spad": SPAD, "exposure": EXPOSURE,
+        "transient": light()}),
+    "presence_evidence": lambda m: (dg.presence_evidence, {
+        "scene": room(), "capture": CAPTURE, "accuracy": FEW, "spad": SPAD, "exposure": EXPOSURE, "parts": ()}),
+    "read_frames": lambda m: (dg.read_frames, {"path": m.file}),
+    "read_parts": lambda m: (dg.read_parts, {"paths": [m.file]}),
+    "replay": lambda m: (dg.replay, {"path": m.set, "scene": 0}),
+    "scene_for": lambda m: (dg.scene_for, {"config": tiny(), "index": 0}),
+    "score": lambda m: (dg.score, {"suite": m.set, "predictions": {}}),
+    "simulate": lambda m: (dg.simulate, {"scene": room(), "capture": CAPTURE, "accuracy": FEW}),
+    "simulate_as_printed": lambda m: (dg.simulate_as_printed, {"scene": room(), "capture": CAPTURE}),
+    "with_exposure_found": lambda m: (dg.with_exposure_found, {"config": tiny()}),
+    "write_device": lambda m: (dg.write_device, {
+        "device": dg.device("tmf8820"), "path": m.folder / "new.yaml"}),
+    "write_glb": lambda m: (dg.write_glb, {"scene": room(), "path": m.folder / "new.glb"}),
+    "zone_depth": lambda m: (dg.zone_depth, {"scene": room(), "capture": CAPTURE}),
+}  # fmt: skip
+"""Every public function, class, and method that takes an argument → what is called, with arguments that are right.
+A build into a file is refused, so that what gets past its first checks makes nothing."""
+INHERITED = (BaseModel, torch.utils.data.Dataset, torch.utils.data.IterableDataset, torch.utils.data.Sampler)
+
+
+def hostile() -> dict[str, Any]:
+    """Values that some user gives some day where others are wanted."""
+    return {
+        "None": None, "a fraction": 0.5, "-1": -1, "infinity": math.inf, "a whole number of 5001 digits": 10**5000,
+        "a text": "nonsense", "a long text": "x" * 300, "a null character": "no\0path", "bytes": b"x",
+        "a path": Path("x"),
+        "a slice": slice(1, 2), "a scene": room(), "a class": dg.Scene, "an object": object(), "a list": [],
+        "a list of None": [None], "a mapping": {1: 2}, "texts": np.array(["a", "b"]), "a tensor": torch.zeros(2),
+        "objects": np.array([None, {}], object), "no points": np.zeros((0, 3)), "complex numbers": np.ones(3) * 1j,
+        "a matrix": np.zeros((3, 3)),
+    }  # fmt: skip
+
+
+UNSEEN = {
+    # What is refused before, by design: see `WITH`.
+    "import_captures", "build_suite", "score",
+    # Under its new name.
+    "Sensor.grid.cols",
+}  # fmt: skip
+"""Calls, or an argument of one, whose messages name something else than the argument at fault."""
+
+
+def takers() -> set[str]:
+    """Names of all that is public and takes arguments, methods after the name of their class."""
+    found = {name for name in dg.__all__ if callable(getattr(dg, name)) and not _is_error(getattr(dg, name))}
+    for owner in [name for name in found if inspect.isclass(getattr(dg, name))]:
+        for name, member in inspect.getmembers(getattr(dg, owner), callable):
+            is_own = not name.startswith("_") and not any(hasattr(kind, name) for kind in INHERITED)
+            if is_own and [*inspect.signature(member).parameters] not in ([], ["self"]):
+                found.add(f"{owner}.{name}")
+    return found
+
+
+def _is_error(thing: object) -> bool:
+    return isinstance(thing, type) and issubclass(thing, Exception | Warning)
+
+
+def test_every_public_call_is_tried() -> None:
+    assert takers() <= {*WITH} and {name for name in WITH if "__" not in name} <= takers()
+
+
+@pytest.mark.parametrize("name", sorted(WITH))
+def test_whatever_is_given_only_our_errors_come_out(name: str, made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the right argument's name; a call that accepts the value is fine, too."""
+    monkeypatch.chdir(made.folder)
+    function, right = WITH[name](made)
+    is_model = isinstance(function, type) and issubclass(function, BaseModel)
+    arguments = function.model_fields if is_model else inspect.signature(function).parameters  # type: ignore[attr-defined]
+    for argument in arguments or right:
+        for what, value in hostile().items():
+            # What can be called is called, and then what comes out is the user's own.
+            if what == "a class" and argument in ("capture", "input_check", "sample_function"):
+                continue
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    function(**right | {argument: value})
+            except (dg.InputError, dg.CheckError) as error:
+                message = str(error)
+                assert "\n" not in message, (argument, what, message)
+                if what == "an object" and not {name, f"{name}.{argument}"} & UNSEEN:
+                    assert argument in message, (argument, what, message)
+            except IndexError:
+                # The end of what is read item by item, as Python has it.
+                assert name.endswith("__getitem__"), (argument, what)
+            except Exception as error:
+                raise AssertionError(f"{argument} = {what}: {type(error).__name__}: {error}") from error
 
 
 def refused(call: Callable[[], object]) -> str:

@@ -7,7 +7,6 @@ and any number of interruptions.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import wait
@@ -26,7 +25,7 @@ from datagen.compiled import first_use
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
-from datagen.records.checks import as_given, check_kind, numbers_of
+from datagen.records.checks import as_given, check_callable, check_flag, check_kind, check_path, numbers_of
 from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Bucket
@@ -124,6 +123,12 @@ def build(
     """
     began = time.monotonic()
     _check_arguments(config, path, scene_seconds, engine)
+    for name, flag in (("progress", progress), ("accept_mixed", accept_mixed)):
+        check_flag(name, flag)
+    if shards is not None:
+        check_kind("shards", shards, str, remedy="such as '0-99' or '3,7-9'")
+    check_callable("sample_function", sample_function, "it gets configuration and scene index, and returns a sample")
+    check_callable("input_check", input_check, "it gets the configuration")
     check_engine(engine, workers, scheduler)
     if scenes is not None:
         config = config.with_scenes(scenes)
@@ -255,7 +260,8 @@ def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
 
 def _check_arguments(config: object, path: object, scene_seconds: float | None, engine: str) -> None:
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
-    check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder to make")
+    if not isinstance(path, Bucket):
+        check_path("path", path, "name the folder to make")
     if str(path) == "":
         raise InputError(f"{as_given('path', str(path))}: names no folder; name the one to make")
     if scene_seconds is None:

@@ -17,11 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from datagen.building.build import BuildResult, build
 from datagen.building.input_check import doubtful_scenes, parts_in_one_place
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.errors import InputError, InputWarning
+from datagen.errors import InputError, InputWarning, shown
 from datagen.labels.boxes import classes_in
 from datagen.pipeline import BACKGROUND_FIELDS, SceneLight, Setup, sample_from, simulated_light
 from datagen.records import Capture, Sample, Scene, Transient
 from datagen.records.arrays import Floats
+from datagen.records.checks import as_names, check_kind, check_seed
 from datagen.transport.lines_of_sight import lit_points
 
 
@@ -75,6 +76,13 @@ def build_from(
     ...     data.shape("histogram"), data.parameters("x_m").tolist()
     ((2, 2, 64), [1.0, 1.5])
     """
+    if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
+        raise InputError(f"scenes = {shown(scenes)}: a list of Scene is needed, or of (Scene, Capture)")
+    check_seed(seed)
+    if settings is not None:
+        check_kind("settings", settings, Mapping, remedy="sections of a configuration")
+    if fields is not None:
+        fields = as_names("fields", fields, "such as ('histogram', 'depth')")
     given = [_given(number, item, capture) for number, item in enumerate(scenes)]
     if not given:
         raise InputError("scenes: none given; a dataset needs at least one")
@@ -141,10 +149,13 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
     parts: Any = item if isinstance(item, tuple) else (item,)
     scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
     if not isinstance(scene, Scene):
-        raise InputError(f"scenes[{number}]: a {type(scene).__name__}, not a Scene or (Scene, Capture, …)")
+        raise InputError(f"scenes[{number}] = {shown(scene)}: a Scene is needed, or (Scene, Capture, …)")
     found = own if own is not None else capture(scene) if callable(capture) else capture
     if not isinstance(found, Capture):
-        raise InputError(f"scenes[{number}]: has no Capture; give (Scene, Capture), or one for all as capture=")
+        raise InputError(
+            f"scenes[{number}]: its capture = {shown(found)}: a Capture is needed; give (Scene, Capture), "
+            "or one for all as capture="
+        )
     if transient is None:
         return Given(scene, found, None)
     values = np.asarray(transient)

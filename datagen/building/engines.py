@@ -355,7 +355,7 @@ def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
     """Raise `InputError` for an unknown engine, a wrong number of workers, a scheduler without Dask, and if Dask is
     needed and not installed."""
     check_workers(workers)
-    if engine not in ("local", "dask"):
+    if not isinstance(engine, str) or engine not in ("local", "dask"):
         raise InputError(f"{as_given('engine', engine)}: must be local or dask")
     if engine == "local" and scheduler is not None:
         raise InputError(

@@ -14,7 +14,7 @@ from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError
 from datagen.loader.ranks import number_of_ranks, rank_of_process
 from datagen.pipeline import simulate_sample
-from datagen.records.checks import check_integer
+from datagen.records.checks import as_names, check_integer, check_kind
 from datagen.store import schema_of
 from datagen.store.shard import encoded
 from datagen.store.stats import COUNTS
@@ -63,12 +63,13 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
         rank: int | None = None,
         ranks: int | None = None,
     ) -> None:
+        check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
         known = schema_of(config).by_name
+        fields = as_names("fields", fields, "such as ('histogram', 'depth')")
         for name in fields:
             if name not in known:
                 raise InputError(f"fields: {name!r} is not in store.fields; there are {', '.join(known)}")
-        if first < 0:
-            raise InputError(f"first = {first}: must be ≥ 0")
+        check_integer("GeneratedDataset", "first", first, 0, 2**62)
         if ranks is not None:
             check_integer("GeneratedDataset", "ranks", ranks, 1, 2**31)
             check_integer("GeneratedDataset", "rank", 0 if rank is None and ranks == 1 else rank, 0, ranks - 1)
@@ -98,6 +99,7 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
 
     def sample(self, scene: int) -> dict[str, torch.Tensor]:
         """The item of a scene."""
+        check_integer("GeneratedDataset", "scene", scene, 0, 2**62)
         sample = simulate_sample(self._config, scene)
         values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
         values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import pydantic
 from pydantic import BaseModel, ConfigDict, ValidationInfo, model_validator
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -124,7 +124,7 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
         case "union_tag_invalid":
             kind = context["tag"]
             hint = near_hint(kind, kinds, f"it must be one of {', '.join(kinds)}")
-            return f"{key}: kind = {kind!r} is unknown; {hint}"
+            return f"{key}: kind = {shown(kind)} is unknown; {hint}"
         case "value_error":
             return f"{key and f'{key}: '}{context['error']}"
         case "dict_type" | "model_type" | "model_attributes_type" | "union_tag_not_found":
@@ -132,9 +132,7 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
             message = f"a mapping is needed{with_kind}"
         case _:
             message = detail["msg"][:1].lower() + detail["msg"][1:]
-    kind = "mapping" if isinstance(value, dict) else type(value).__name__
-    shown = repr(value) if isinstance(value, (str, int, float, bool, type(None))) else f"a {kind}"
-    return f"{key} = {shown}: {message}"
+    return f"{key} = {'a mapping' if isinstance(value, dict) else shown(value)}: {message}"
 
 
 def near_hint(name: str, known: Iterable[str], then: str = "", cutoff: float = 0.6) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +23,7 @@ from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
-from datagen.records.checks import as_given, check_kind
+from datagen.records.checks import as_given, check_path
 from scene_library.materials import checked_wavelength_nm
 
 MOST_SCENES = 100_000_000
@@ -152,7 +151,7 @@ def load_config(path: str | Path) -> DatasetConfig:
     >>> config.scene.layout.kind, config.capture.shape
     ('l_corridor', (256, 1, 512))
     """
-    check_kind("path", path, str, os.PathLike, remedy="name a YAML file")
+    check_path("path", path, "name a YAML file")
     path = Path(path)
     values = read_yaml(path, "name a configuration such as configs/quickstart.yaml")
     return config_from_mapping(values, source=str(path), base_directory=path.parent)

@@ -16,9 +16,10 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from datagen.config.base import Settings, from_plain, named_file, near_hint
 from datagen.config.yaml_text import read_yaml
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records import Pairing, TimeAxis
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_path
 from datagen.untrusted import one_line, read_npz
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
@@ -233,12 +234,13 @@ def read_device(name: str | Path, model: type[AnyDevice], folder: Path | None = 
 
     Raises `InputError` for a name that is neither, and for a file that is no device, with the key that is wrong.
     """
+    check_path("name", name, f"one of {', '.join(device_names())}, or a device file (.yaml)")
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         if str(name) not in device_names():
             there = f"there are {', '.join(device_names())}; or name a device file (.yaml)"
             raise InputError(
-                f"device {str(name)!r} is not in the catalogue; {near_hint(str(name), device_names(), there)}"
+                f"device {shown(str(name))} is not in the catalogue; {near_hint(str(name), device_names(), there)}"
             )
         path = FOLDER / f"{name}.yaml"
     elif folder is not None:

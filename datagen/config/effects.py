@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from datagen.config.base import Settings
+from datagen.records.checks import check_choice
 
 
 def _as_word(value: Any) -> Any:
@@ -66,6 +67,7 @@ class EffectsConfig(Settings):
     def of(self, effect: str) -> str:
         """The setting of an effect by its name in the table. A dead time across cycles that is on turns pile-up
         on."""
+        check_choice("effect", effect, tuple(name for name in type(self).model_fields if name != "tolerance"))
         setting: str = getattr(self, effect)
         needed = effect == "pile_up" and setting == "auto" and self.dead_time_across_cycles == "on"
         return "on" if needed else setting

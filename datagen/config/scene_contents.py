@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
@@ -202,7 +203,7 @@ class Mesh(MeshItem):
 
     def _look(self) -> None:
         if (found := why_no_file(self.place)) is not None:
-            found += " (kind: mesh_folder reads one)" if self.place.is_dir() else ""
+            found += " (kind: mesh_folder reads one)" if os.path.isdir(self.place) else ""
             raise ValueError(
                 f"path = {self.path!r}: {found} ({self.place}); paths start at the configuration's folder"
             )
@@ -229,8 +230,8 @@ class MeshFolder(MeshItem):
     _found: dict[str, tuple[Path, ...]] | None = PrivateAttr(default=None)
 
     def _look(self) -> None:
-        if not self.place.is_dir():
-            found = "is a file (kind: mesh reads one)" if self.place.is_file() else "no such folder"
+        if not os.path.isdir(self.place):
+            found = "is a file (kind: mesh reads one)" if os.path.isfile(self.place) else "no such folder"
             raise ValueError(
                 f"path = {self.path!r}: {found} ({self.place}); paths start at the configuration's folder"
             )

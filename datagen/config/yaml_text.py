@@ -4,6 +4,7 @@ the line named in errors."""
 from __future__ import annotations
 
 import errno
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ def read_yaml(path: Path, remedy: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; {remedy}") from None
     except (OSError, UnicodeDecodeError) as error:
-        if path.is_dir():
+        if os.path.isdir(path):
             raise InputError(f"{path}: is a directory; name a YAML file in it") from None
         why = NO_PLAIN_FILE if isinstance(error, OSError) and error.errno == errno.EINVAL else None
         raise InputError(f"{path}: {why or f'cannot be read as UTF-8 text ({error})'}; {remedy}") from None

@@ -28,6 +28,7 @@ from datagen.detector.own_light import own_light, squared_over
 from datagen.detector.spad import MAX_CYCLES
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
+from datagen.records.checks import check_kind
 from datagen.scene import generate_scene
 
 OBJECTS = 48
@@ -78,6 +79,7 @@ def with_exposure_found(config: DatasetConfig) -> DatasetConfig:
     >>> found.cycles > 1, found.exposure_for
     (True, None)
     """
+    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     request = config.detector.exposure_for
     if request is None:
         return config

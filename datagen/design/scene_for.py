@@ -9,6 +9,7 @@ from datagen.config import DatasetConfig
 from datagen.design.light import estimated_evidence
 from datagen.detector import detector_for
 from datagen.records import Scene
+from datagen.records.checks import check_kind
 from datagen.scene import generate_scene
 
 MARGIN = 1.1
@@ -33,6 +34,7 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     >>> dg.scene_for(config, 3).part_names
     ('relay_wall', 'walls', 'floor', 'ceiling', 'pillar', 'box')
     """
+    check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     if not config.scene.asks_for_evidence:
         return generate_scene(config.scene, config.seed, index)
 

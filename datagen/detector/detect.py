@@ -22,10 +22,10 @@ from datagen.detector.measurement import Measurement, merged
 from datagen.detector.random_numbers import draw_poisson, generator_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records import TimeAxis
 from datagen.records.arrays import Floats, Ints
-from datagen.records.checks import check_number, shown
+from datagen.records.checks import check_flag, check_number
 
 Counts = NDArray[np.integer]
 
@@ -80,10 +80,11 @@ def detect_and_choice(
     dtype: DTypeLike = np.int64,
 ) -> tuple[Counts, SamplerChoice]:  # fmt: skip
     """The results of `detect` and of `choose_sampler`, for which the flux is computed once."""
+    check_flag("approximate", approximate)
     check_number("detect", "tolerance", tolerance, 0.0, 1.0, "a relative bias, such as 1e-3")
     try:
         kind = np.dtype(dtype)
-    except TypeError:
+    except (TypeError, ValueError):
         raise InputError(
             f"detect: dtype = {shown(dtype)}: an integer type such as int64 or uint16 is needed"
         ) from None
@@ -149,6 +150,7 @@ def expected_histogram(
     [0.0, 50000.0, 100000.0, 0.0]
     [0.0, 48771.0, 90521.0, 0.0]
     """
+    check_flag("approximate", approximate)
     measured = Measurement.of(transient, time, spad, exposure, first_pixel)
     if not approximate and not has_exact_mean(spad, measured.transient.shape[1]):
         raise InputError(

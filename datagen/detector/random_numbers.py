@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from datagen.compiled import compiled
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.arrays import Floats, Ints
 from datagen.seeding import Purpose
 
@@ -19,7 +19,7 @@ LARGEST_MEAN = 1e13
 def generator_of(seed: int) -> Generator:
     """The generator of all counts of one call of `detect`. Raises `InputError` for a negative seed."""
     if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool) or seed < 0:
-        raise InputError(f"seed = {seed!r}: must be an integer ≥ 0")
+        raise InputError(f"seed = {shown(seed)}: must be an integer ≥ 0")
     return Generator(np.random.SFC64(np.random.SeedSequence(int(seed), spawn_key=(int(Purpose.DETECTOR),))))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Literal, cast, get_args
@@ -9,7 +10,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.checks import (
     as_tdc_edges,
     as_weights,
@@ -18,7 +19,7 @@ from datagen.records.checks import (
     check_integer,
     check_kind,
     check_number,
-)  # fmt: skip
+)
 
 Mode = Literal["ideal", "synchronous", "free_running"]
 """`ideal`: every avalanche-capable event is counted. `synchronous`: armed afresh at the start of each laser cycle.
@@ -150,7 +151,7 @@ class Spad:
                 "Spad.paralyzable = True with afterpulsing or crosstalk: the three together are not modelled; "
                 "set afterpulse_probability and crosstalk_probability to 0"
             )
-        if len(self.dark_count_factors):
+        if not isinstance(self.dark_count_factors, Sequence) or self.dark_count_factors:
             factors = as_weights("Spad.dark_count_factors", self.dark_count_factors, (None,))
             object.__setattr__(self, "dark_count_factors", tuple(factors.tolist()))
         self._check_traps()
@@ -168,15 +169,16 @@ class Spad:
             check_number("Spad", "afterpulse_weights", value, 0.0, 1e12, "relative shares of the traps")
         if weights and (len(weights) != len(times) or sum(weights) <= 0):
             raise InputError(
-                f"Spad.afterpulse_weights = {weights}: {len(times)} weights with a positive sum are needed, one for "
-                "each of afterpulse_times_s; leave them out for equal shares"
+                f"Spad.afterpulse_weights = {shown(weights)}: {len(times)} weights with a positive sum are needed, "
+                "one for each of afterpulse_times_s; leave them out for equal shares"
             )
 
     def _check_gate(self) -> None:
         start, width = self.gate_start_s, self.gate_width_s
         if (start is None) != (width is None):
             raise InputError(
-                f"Spad.gate_start_s = {start}, gate_width_s = {width}: give both, or leave both out for no gate"
+                f"Spad.gate_start_s = {shown(start)}, gate_width_s = {shown(width)}: give both, or leave "
+                "both out for no gate"
             )
         if start is None or width is None:
             return

@@ -22,13 +22,14 @@ import scipy.optimize
 from scipy.special import ndtr
 
 from datagen.capture.device_optics import zone_boxes
+from datagen.config.device import DeviceConfig
 from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, recorded_by
 from datagen.devices.saturation import blind_periods, saturated, unsaturated
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
-from datagen.records.checks import check_number
+from datagen.records.checks import check_callable, check_flag, check_kind, check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 NEAREST_M = 0.12
@@ -114,6 +115,10 @@ def calibrate(
     ------
     InputError : no distances, another number of zones or bins than the device has, or fewer than 8 usable frames.
     """
+    check_kind("frames", frames, Frames, remedy="such as read_frames(path)")
+    check_kind("device", device, DeviceConfig, remedy="such as dg.device('tmf8820')")
+    check_flag("held_out", held_out)
+    check_callable("doing", doing, "it gets a line of text")
     check_number("calibrate", "albedo", albedo, 1e-3, 1.0, "it is a share of the light")
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:

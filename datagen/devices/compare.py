@@ -29,7 +29,7 @@ from scipy.ndimage import convolve1d
 from scipy.spatial.transform import Rotation
 
 from datagen.capture.device_optics import zone_boxes
-from datagen.config.device import device_names
+from datagen.config.device import DeviceConfig, device_names
 from datagen.detector import expected_histogram
 from datagen.detector.flux import dark_count_rates
 from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covariance, relative_l2
@@ -40,7 +40,7 @@ from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
 from datagen.records import Lambertian, Part, Scene
 from datagen.records.arrays import Floats
-from datagen.records.checks import option
+from datagen.records.checks import as_names, as_paths, check_callable, check_choice, check_kind, check_path, option
 from datagen.store.manifest import Manifest
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
@@ -192,7 +192,7 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
     import trimesh
 
     parts = []
-    for path in map(Path, paths):
+    for path in as_paths(option("paths"), paths, "name mesh files"):
         try:
             mesh_file = read_mesh(path)
         except BadMesh as error:
@@ -239,9 +239,14 @@ def compare(
         counts than the device has cycles, no part in sight, or zones that fit far better in another order than the
         device's, if the file does not state its order.
     """
-    bad = [group for group in fit if group not in GROUPS]
-    if bad:
-        raise InputError(f"compare: fit = {bad[0]!r}: must be of {', '.join(GROUPS)}")
+    check_kind("frames", frames, Frames, remedy="such as read_frames(path)")
+    check_kind("sensor", sensor, DeviceConfig, remedy="such as dg.device('tmf8820')")
+    check_kind("parts", parts, Sequence, remedy="such as read_parts(['plate.stl'])")
+    for number, part in enumerate(parts):
+        check_kind(f"parts[{number}]", part, Part, remedy="such as read_parts(['plate.stl'])")
+    check_callable("doing", doing, "it gets a line of text")
+    for group in as_names("fit", fit, f"any of {', '.join(GROUPS)}"):
+        check_choice("fit", group, GROUPS)
     doing = doing or (lambda what: None)
     order_is_stated = frames.zone_order is not None
     frames, modes = _checked(frames, sensor)
@@ -320,6 +325,8 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
 
     Raises `InputError` for datasets without histograms, of other shapes or times, or with no scene in common.
     """
+    for name, path in (("recorded", recorded), ("simulated", simulated)):
+        check_path(name, path, "name the folder of a dataset")
     ours, theirs = Scenes(recorded), Scenes(simulated)
     common = sorted(set(ours.made()) & set(theirs.made()))
     for dataset in (ours, theirs):

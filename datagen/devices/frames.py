@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
+from datagen.records.checks import as_rows, check_path, check_reals
 from datagen.untrusted import one_line, read_npy, read_npz, read_records, why_no_file
 
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
@@ -38,11 +39,19 @@ class Frames:
     reference: Floats | None = None
     zone_order: str | tuple[int, ...] | None = None
 
+    def __post_init__(self) -> None:
+        check_reals("Frames.histograms", self.histograms, (None, None, None))
+        count, _, bins = self.histograms.shape
+        for name, shape in (("poses", (count, 4, 4)), ("distances_m", (count,)), ("reference", (count, bins))):
+            if getattr(self, name) is not None:
+                check_reals(f"Frames.{name}", getattr(self, name), shape)
+
     def __len__(self) -> int:
         return len(self.histograms)
 
     def some(self, rows: Ints) -> Frames:
         """The frames with these numbers."""
+        rows = as_rows("Frames.some: rows", rows, len(self))
         given = {name: getattr(self, name) for name in ("poses", "distances_m", "reference")}
         there = {name: values[rows] for name, values in given.items() if values is not None}
         return replace(self, histograms=self.histograms[rows], **there)
@@ -70,6 +79,7 @@ def read_frames(path: str | Path) -> Frames:
     Raises `InputError` for a file that is missing or damaged, and for histograms that are ragged, negative or not
     finite.
     """
+    check_path("path", path, f"name frames of a sensor ({', '.join(SUFFIXES)})")
     path = Path(path)
     if (why := why_no_file(path)) is not None:
         raise InputError(f"{path}: {why}; name frames of a sensor ({', '.join(SUFFIXES)})")
@@ -78,23 +88,21 @@ def read_frames(path: str | Path) -> Frames:
     with one_line(f"{path}: holds no frames of a sensor"):
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
     ambient = found.pop("ambient", None)
-    frames = Frames(path.name, **found)
-    counts = frames.histograms
+    counts = found["histograms"]
     if counts.ndim != 3 or not counts.size or not np.isfinite(counts).all():
         raise InputError(f"{path}: hists of shape {counts.shape}; finite counts ≥ 0 (frames, zones, bins) are needed")
     if ambient is not None:
-        counts = _with_ambient(path, counts, ambient)
-        frames = replace(frames, histograms=counts)
+        counts = found["histograms"] = _with_ambient(path, counts, ambient)
     elif (counts < 0).any():
         raise InputError(
             f"{path}: hists: {(counts < 0).mean():.1%} of the values are negative, as where a sensor subtracts "
             "ambient light; give what it subtracted beside hists: ambient, one number ≥ 0 a zone, counts a bin"
         )
     for name, shape in (("poses", (4, 4)), ("distances_m", ()), ("reference", (counts.shape[2],))):
-        values = getattr(frames, name)
+        values = found.get(name)
         if values is not None and (values.shape != (len(counts), *shape) or not np.isfinite(values).all()):
             raise InputError(f"{path}: {name} of shape {values.shape} for {len(counts)} frames; give one a frame")
-    return frames
+    return Frames(path.name, **found)
 
 
 def _with_ambient(path: Path, counts: Floats, ambient: Floats) -> Floats:

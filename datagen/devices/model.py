@@ -18,7 +18,7 @@ from datagen.devices.frames import Frames
 from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError, InputWarning, as_line
 from datagen.records import Capture
-from datagen.records.checks import as_points
+from datagen.records.checks import as_points, as_reals, check_kind, check_path
 from datagen.store.files import write_atomically
 
 
@@ -53,7 +53,7 @@ class Device(DeviceConfig):
 
     def at_pose(self, pose: ArrayLike) -> tuple[Capture, Spad, Exposure]:
         """As `at`, for a 4 × 4 pose matrix: its columns are the device's left, up and forward, and its position."""
-        matrix = np.asarray(pose, np.float64)
+        matrix = as_reals("Device.at_pose: pose", pose)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(f"Device.at_pose: shape {matrix.shape} given; a finite 4 × 4 matrix is needed")
         place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
@@ -70,6 +70,8 @@ class Device(DeviceConfig):
 
     def source_of(self, section: str, key: str) -> str:
         """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
+        for name, value in (("section", section), ("key", key)):
+            check_kind(name, value, str, remedy="such as source_of('time', 'bins')")
         return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
 
     @property
@@ -162,6 +164,8 @@ def write_device(device: Device, path: str | Path) -> None:
     """Write a device to a file that `device` reads. Raises `InputError` where the file cannot be written."""
     import yaml
 
+    check_kind("device", device, DeviceConfig, remedy="such as dg.device('tmf8820')")
+    check_path("path", path, "name the file to make, .yaml")
     path = Path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(f"{path}: a device file ends in .yaml; name it so")

@@ -16,9 +16,8 @@ from datagen.capture.device_optics import zone_boxes
 from datagen.config.base import near_hint
 from datagen.config.device import Zones
 from datagen.devices.frames import Frames
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.arrays import Floats, Ints
-from datagen.records.checks import shown
 
 EXCHANGED = ", pairs exchanged"
 """End of the name of an order in which the columns 0 and 1, 2 and 3, … of every row have changed places."""

@@ -15,7 +15,7 @@ from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
 from datagen.effects.rule import Decision, Effect, decide
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS, Transport
 from datagen.effects.trial import few_samples
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records import Accuracy, Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind, check_number, check_seed
@@ -44,11 +44,11 @@ class EffectDecisions:
 
     def __getitem__(self, effect: str) -> Decision:
         """The decision for an effect by its name."""
-        for decision in self.decisions:
+        for decision in self.decisions if isinstance(effect, str) else ():
             if decision.effect == effect:
                 return decision
         raise InputError(
-            f"effect {effect!r}: decided are {', '.join(d.effect for d in self.decisions) or 'no decision'}"
+            f"effect {shown(effect)}: decided are {', '.join(d.effect for d in self.decisions) or 'no decision'}"
         )
 
     def __add__(self, other: EffectDecisions) -> EffectDecisions:

@@ -15,6 +15,7 @@ from datagen.errors import InputError
 from datagen.evidence.image import ScanPairs
 from datagen.records import Scalar, Transient
 from datagen.records.arrays import Floats
+from datagen.records.checks import as_names, check_kind, check_mapping
 from datagen.records.label_fields import names_made_by
 
 OBJECT_EVIDENCE = names_made_by("evidence.own")
@@ -75,6 +76,9 @@ def own_evidence(
     >>> round(evidence.detections), round(evidence.significance, 2)
     (1000, 10.0)
     """
+    check_kind("transient", transient, Transient)
+    if in_sight is not None:
+        check_mapping("in_sight", in_sight, np.ndarray, remedy="the light in sight of each part")
     return evidence_and_gain(transient, spad, exposure, parts, in_sight=in_sight)[0]
 
 
@@ -84,7 +88,7 @@ def evidence_and_gain(
 ) -> tuple[dict[str, Evidence], Floats]:  # fmt: skip
     """The result of `own_evidence`, and (S, bin) `detections_per_photon` of the scan pairs' histograms, from one
     solution for the detector's dead time."""
-    names = tuple(transient.parts) if parts is None else tuple(parts)
+    names = tuple(transient.parts) if parts is None else as_names("parts", parts, "names of parts")
     for name in names:
         if name not in transient.parts:
             known = ", ".join(transient.parts) or "no part; simulate it with split_parts=True"

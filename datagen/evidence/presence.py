@@ -13,7 +13,7 @@ from datagen.detector import Exposure, Spad
 from datagen.detector.own_light import own_light
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture, Scalar, Scene, Transient
-from datagen.records.checks import check_kind, check_seed
+from datagen.records.checks import as_names, check_kind, check_seed
 from datagen.transport import transient_of
 
 
@@ -89,7 +89,9 @@ def presence_evidence(
     for name, value, kind in given:
         check_kind(name, value, kind)
     check_seed(seed)
-    names = scene.objects if parts is None else tuple(parts)
+    names = scene.objects if parts is None else as_names("parts", parts, "names of parts")
+    if transient is not None:
+        check_kind("transient", transient, Transient)
     for name in names:
         if name not in scene.part_names:
             raise InputError(f"presence_evidence: part {name!r}: this scene has {', '.join(scene.part_names)}")

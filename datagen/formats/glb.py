@@ -8,7 +8,6 @@ which Blender turns to +Z again.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Capture, Scene
-from datagen.records.checks import check_kind
+from datagen.records.checks import check_kind, check_path
 from datagen.records.materials import Material
 from datagen.store.scenes import SceneContent
 from datagen.transport.brdf import model_of
@@ -59,7 +58,7 @@ def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) ->
     ['ball']
     """
     check_kind("scene", scene, Scene)
-    check_kind("path", path, str, os.PathLike, remedy="name a .glb file")
+    check_path("path", path, "name a .glb file")
     check_kind("capture", capture, Capture, type(None))
     placed = {}
     if capture is not None:

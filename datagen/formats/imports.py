@@ -30,7 +30,7 @@ from datagen.formats.matlab import read_mat
 from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.formats.tal import read_tal
 from datagen.records import Sample, Scalar, TimeAxis
-from datagen.records.checks import as_given, check_choice, check_kind, check_number, option
+from datagen.records.checks import as_given, as_paths, check_choice, check_number, check_path, option
 from datagen.store.files import sha256_of
 from datagen.untrusted import why_no_file
 
@@ -93,8 +93,8 @@ def import_captures(
     ...     data.shape("histogram"), data[0]["laser_points"][0].tolist()
     ((64, 1, 64), [-0.35, 0.35, 0.0])
     """
-    check_kind("path", path, str, os.PathLike, remedy="name the folder to make")
-    if format is not None and format not in FORMATS:
+    check_path("path", path, "name the folder to make")
+    if format is not None and (not isinstance(format, str) or format not in FORMATS):
         raise InputError(f"{as_given('format', format)}: must be one of {', '.join(FORMATS)}")
     if field is not None:
         check_choice(option("field"), field, FIELDS)
@@ -178,15 +178,13 @@ class _Summary:
 
 
 def _paths(files: str | Path | Sequence[str | Path]) -> list[Path]:
-    check_kind("files", files, str, os.PathLike, Sequence, remedy="name files of captures")
-    listed = [files] if isinstance(files, str | os.PathLike) else list(files)
+    listed = as_paths("files", files, "name files of captures")
     if not listed:
         raise InputError("files: none given; name at least one capture")
-    for number, file in enumerate(listed):
-        check_kind(f"files[{number}]", file, str, os.PathLike)
-        if (why := why_no_file(Path(file))) is not None:
-            raise InputError(f"{file}: {why}{'; name the files in it' if Path(file).is_dir() else ''}")
-    return [Path(file) for file in listed]
+    for file in listed:
+        if (why := why_no_file(file)) is not None:
+            raise InputError(f"{file}: {why}{'; name the files in it' if os.path.isdir(file) else ''}")
+    return listed
 
 
 def _options(
@@ -209,8 +207,8 @@ def _options(
         raise InputError(f"{as_given('bins', bins)}: must be an integer in 1 … 1000000")
     stated: ImportedFile | Literal["none"] | None = None if tof is None else "none"
     delays = None
-    if tof is not None and str(tof) != "none":
-        check_kind("tof", tof, str, os.PathLike)
+    if tof is not None and not (isinstance(tof, str) and tof == "none"):
+        check_path("tof", tof, "name the file with tofgrid, or none")
         delays = Path(tof)
         if (why := why_no_file(delays)) is not None:
             raise InputError(f"{as_given('tof', tof)}: {why}; name the one with tofgrid, or none")

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.arrays import Ints
-from datagen.records.checks import shown
 from datagen.store import Manifest
 from datagen.store.reader import Part
 from datagen.store.schema import Field

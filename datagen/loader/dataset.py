@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import os
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, get_worker_info
 
-from datagen.errors import CheckError, InputError
+from datagen.errors import CheckError, InputError, shown
 from datagen.loader.batch import JOINED, Batch, Item
 from datagen.loader.crops import Crops
 from datagen.loader.draw_counter import DrawCounter, check_epoch, shared
@@ -29,7 +28,16 @@ from datagen.loader.volumes import Volumes
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records import TimeAxis
 from datagen.records.arrays import Ints
-from datagen.records.checks import check_flag, check_kind, check_number, check_seed, shown
+from datagen.records.checks import (
+    as_names,
+    check_callable,
+    check_choice,
+    check_flag,
+    check_kind,
+    check_number,
+    check_path,
+    check_seed,
+)
 from datagen.store import DatasetReader, Manifest, each_committed, read_manifest
 from datagen.store.location import Bucket, location_of
 from datagen.store.partial import is_complete, largest, shards_there, table_there
@@ -140,16 +148,16 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         evidence_at_least: float | None = None,
         partial: bool = False,
     ) -> None:
-        check_kind("path", path, str, os.PathLike, Bucket, remedy="name the folder that build made")
+        if not isinstance(path, Bucket):
+            check_path("path", path, "name the folder that build made")
         check_seed(seed)
-        wanted = _names(fields)
+        wanted = as_names("fields", fields, "such as ('histogram', 'depth')")
         for name, flag in (("redraw_noise", redraw_noise), ("check", check), ("partial", partial)):
             check_flag(name, flag)
         if evidence_at_least is not None:
             sigmas = "standard deviations, such as 3"
             check_number("TransientDataset", "evidence_at_least", evidence_at_least, 0.0, 1e9, sigmas)
-        if transform is not None and not callable(transform):
-            raise InputError(f"transform = {shown(transform)}: must be a function from an item to an item")
+        check_callable("transform", transform, "it gets an item and returns one")
         self.transform = transform
         self.path = location_of(path).resolve()
         manifest = read_manifest(path)
@@ -166,8 +174,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             if name not in self.fields and name not in self._light:
                 raise InputError(f"fields: {name!r} is not in {path}; it has {', '.join(self.fields)}")
         self._counts = self._dtype_of_counts(counts)
-        if representation not in ("dense", "events", "volume"):
-            raise InputError(f"representation = {representation!r}: must be 'dense', 'events' or 'volume'")
+        check_choice("representation", representation, ("dense", "events", "volume"))
         # The representation that replaces the histogram of an item, if any.
         self._instead = representation if representation != "dense" and "histogram" in self.selected else None
         if self._instead == "events":
@@ -284,18 +291,22 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def shape(self, field: str) -> tuple[int, ...]:
         """The shape of a field of an item."""
+        check_kind("field", field, str, remedy=f"one of {', '.join(self.fields)}")
         if field == "volume" and self._volumes is not None:
             return self._volumes.shape
         if field not in self._fields:
-            raise InputError(f"shape: {field!r} is not in {self.path}; it has {', '.join(self.fields)}")
+            raise InputError(f"field = {shown(field)}: is not in {self.path}; it has {', '.join(self.fields)}")
         return (self._parts[field] or self._fields[field]).shape
 
     def time_of(self, field: str = "histogram") -> TimeAxis:
         """The bins of a histogram or a transient of an item. They differ where the sensor merges bins
         (`detector.bins_merged`)."""
+        check_kind("field", field, str, remedy="name histogram or transient")
         axis, part = self._manifest.time_of(field), self._parts.get(field)
         if field not in self._fields or self._fields[field].dims[-1] not in ("bin", "transient_bin"):
-            raise InputError(f"time_of: {field!r} has no axis of time in {self.path}; name histogram or transient")
+            raise InputError(
+                f"field = {shown(field)}: has no axis of time in {self.path}; name histogram or transient"
+            )
         if part is None:
             return axis
         first, stop = part.last.start, part.last.stop
@@ -330,6 +341,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def parameters(self, name: str) -> NDArray[np.generic]:
         """A column of `samples.parquet` (scene parameters, error estimates) in the order of the items."""
+        check_kind("name", name, str, remedy="a column of samples.parquet")
         column: NDArray[np.generic] = self._table([name])[name].take(self.scenes).to_numpy()
         return column
 
@@ -358,8 +370,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def _scenes_of(self, split: str, fractions: tuple[float, float, float] | None) -> Ints:
         """(N,) the scenes of `self.scenes` that belong to a split."""
         splits = self._manifest.splits()
-        if split not in splits.names:
-            raise InputError(f"split = {split!r}: {self.path} has {', '.join(splits.names)}")
+        if not isinstance(split, str) or split not in splits.names:
+            raise InputError(f"split = {shown(split)}: {self.path} has {', '.join(splits.names)}")
         if fractions is not None:
             splits = splits.with_shares(fractions)
         if fractions is None:
@@ -419,10 +431,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     def _dtype_of_counts(self, counts: object) -> np.dtype[Any] | None:
         """The dtype that `counts` names; None for "stored"."""
+        check_choice("counts", counts, COUNT_TYPES)
         if counts == "int32" and "histogram" in self.fields and self._schema.by_name["histogram"].dtype == "uint32":
             raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
-        if counts not in COUNT_TYPES:
-            raise InputError(f"counts = {counts!r}: must be one of {', '.join(COUNT_TYPES)}")
         return None if counts == "stored" else np.dtype(str(counts))
 
     def _scene_of(self, item: object) -> int:
@@ -430,9 +441,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             number = operator.index(item)  # type: ignore[arg-type]
         except TypeError:
             several = "; `torch.utils.data.Subset` has several" if isinstance(item, slice | list | tuple) else ""
-            raise InputError(f"item {item!r}: must be a whole number{several}") from None
+            raise InputError(f"item {shown(item)}: must be a whole number{several}") from None
         if not -len(self) <= number < len(self):
-            raise IndexError(f"item {number}: this dataset has {len(self)} items")
+            raise IndexError(f"item {shown(number)}: this dataset has {len(self)} items")
         return int(self.scenes[number])
 
     def _draws_of(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
@@ -518,12 +529,3 @@ _OWN_ITEM = TransientDataset.__getitem__
 def _defines(data: object, method: str) -> type:
     """The class that defines a method of an object."""
     return next(one for one in type(data).__mro__ if method in vars(one))
-
-
-def _names(fields: object) -> tuple[str, ...]:
-    """The names of the fields that a user selects: one, or several."""
-    check_kind("fields", fields, str, Sequence, remedy="such as ('histogram', 'depth')")
-    names = (fields,) if isinstance(fields, str) else tuple(cast(Sequence[Any], fields))
-    for name in names:
-        check_kind("fields", name, str, remedy="such as ('histogram', 'depth')")
-    return names

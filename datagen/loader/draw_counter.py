@@ -13,7 +13,7 @@ from numba.extending import intrinsic
 from torch.utils.data import get_worker_info
 
 from datagen.compiled import compiled
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.loader.ranks import rank_of_process
 from datagen.records.arrays import Ints
 
@@ -181,7 +181,7 @@ def shared(values: torch.Tensor) -> torch.Tensor:
 def check_epoch(epoch: object) -> None:
     """Raise `InputError` unless `epoch` can be the number of an epoch."""
     if not isinstance(epoch, int | np.integer) or not 0 <= epoch < 2**62:
-        raise InputError(f"epoch = {epoch!r}: must be a whole number in 0 … 2^62")
+        raise InputError(f"epoch = {shown(epoch)}: must be a whole number in 0 … 2^62")
 
 
 @intrinsic

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.errors import InputError
-from datagen.records.checks import check_kind
+from datagen.records.checks import check_integer, check_kind
 
 
 def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
@@ -68,15 +68,32 @@ def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> t
     check_kind("events", events, torch.Tensor)
     check_kind("counts", counts, torch.Tensor)
     check_kind("shape", shape, Sequence, remedy="a size for each axis")
+    for axis, size in enumerate(shape):
+        check_integer("dense", f"shape[{axis}]", size, 0, 2**62)
     if events.ndim != 2 or events.shape[1] != len(shape) or counts.shape != events.shape[:1]:
         raise InputError(
             f"events {tuple(events.shape)}, counts {tuple(counts.shape)}, shape {tuple(shape)}: must be (N, axes), "
             "(N,) and a size for each axis"
         )
+    whole = not (events.is_floating_point() or events.is_complex() or events.dtype == torch.bool)
+    if not whole or counts.is_complex():
+        raise InputError(
+            f"events of {events.dtype}, counts of {counts.dtype}: whole numbers and real numbers are needed, as in a "
+            "batch of representation='events'"
+        )
     out = torch.zeros(math.prod(shape), dtype=torch.float32, device=events.device)
     # The place of each event in the flattened histograms, whose last axis runs fastest.
     flat = torch.zeros(len(events), dtype=torch.int64, device=events.device)
+    outside = torch.zeros(len(events), dtype=torch.bool, device=events.device)
     for axis, size in enumerate(shape):
-        flat = flat * size + events[:, axis]
+        place = events[:, axis].to(torch.int64)
+        outside |= (place < 0) | (place >= size)
+        flat = flat * size + place
+    # Axes in another order would fill other bins, and nobody would notice.
+    if outside.any():
+        first = events[int(outside.to(torch.int8).argmax())].tolist()
+        raise InputError(
+            f"events: {first} lies outside of shape = {tuple(shape)}; give the shape of these histograms"
+        )
     out[flat] = counts.to(torch.float32)
     return out.view(*shape)

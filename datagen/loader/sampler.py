@@ -75,6 +75,8 @@ class EpochSampler(Sampler[int]):
         done : the number of items that were used, if a loader has fetched ahead.
         """
         epoch, handed = (self._epoch, self._done) if self._running is None else self._running.place
+        if done is not None:
+            check_integer("EpochSampler", "done", done, 0, len(self))
         return {"epoch": epoch, "done": handed if done is None else int(done)}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:

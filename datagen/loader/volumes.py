@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.labels.frame import ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.loader.crops import Crops
 from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
 from datagen.records import Rectangle
-from datagen.records.checks import shown
 from datagen.store import Manifest
 
 MOST_VOXELS = 2**26

@@ -14,6 +14,7 @@ from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import (
     as_points,
+    as_rows,
     as_shaped,
     as_weights,
     check_choice,
@@ -148,9 +149,10 @@ class Laser:
         cells = _lattice("Laser.flood", center, right, up, rows, columns)
         return cls(position, cells.mean(axis=1), weights, cells)
 
-    def take(self, lasers: Ints) -> Laser:
+    def take(self, lasers: Ints | slice) -> Laser:
         """The laser with some of its targets, by number, and their weights and cells; equal shares where all of these
         weights are 0, which say nothing about a scan."""
+        lasers = as_rows("Laser.take: lasers", lasers, len(self.targets))
         weights = None if self.weights is None else self.weights[lasers]
         weights = None if weights is None or not weights.any() else weights
         return Laser(self.position, self.targets[lasers], weights, None if self.cells is None else self.cells[lasers])
@@ -229,6 +231,7 @@ class Sensor:
 
     def take(self, pixels: Ints | slice) -> Sensor:
         """The sensor with some of its pixels, by number."""
+        pixels = as_rows("Sensor.take: pixels", pixels, len(self.pixels))
         return Sensor(
             self.position, self.pixels[pixels], self.aperture_radius_m, self.finite_aperture,
             None if self.footprints is None else self.footprints[pixels], self.crosstalk,
@@ -257,7 +260,6 @@ class Sensor:
         if cols is not None:
             warn("Sensor.grid: cols is now called columns", DeprecationWarning, stacklevel=2)
             columns = cols
-        assert columns is not None
         return cls(position, _lattice("Sensor.grid", center, right, up, rows, columns), aperture_radius_m)
 
     @property
@@ -312,6 +314,7 @@ class TimeAxis:
         Times are measured since the last pulse, so that a histogram ends with the period. The axis may begin at any
         time after the pulse.
         """
+        check_number("TimeAxis.beyond_period", "repetition_rate_hz", repetition_rate_hz, 1e-9, 1e18, "10 MHz is 10e6")
         period_s, length_s = 1.0 / repetition_rate_hz, self.bins * self.width_s
         if length_s <= period_s * (1 + PERIOD_ACCURACY):
             return ""
@@ -325,6 +328,7 @@ class TimeAxis:
 
     def merged(self, bins: int) -> TimeAxis:
         """The axis on which each run of so many bins is one bin."""
+        check_integer("TimeAxis.merged", "bins", bins, 1, self.bins)
         return replace(self, bins=self.bins // bins, width_s=self.width_s * bins)
 
     @property

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from datagen.errors import InputError
-from datagen.records.arrays import Floats
+from datagen.errors import InputError, shown
+from datagen.records.arrays import Floats, Ints
 
-LONGEST_SHOWN = 60
-"""Most characters of a value in an error message, enough for a short list; longer ones are shown by their type."""
 LONGEST_NAME = 100
 """Most characters of a name: a longer one would fill the legend of a picture."""
 TDC_PERIOD_ACCURACY = 1e-5
@@ -77,6 +77,65 @@ def check_mapping(name: str, value: object, *kinds: type, remedy: str) -> None:
         check_kind(f"{name}[{key!r}]", item, *kinds, remedy=remedy)
 
 
+def check_callable(name: str, value: object, remedy: str) -> None:
+    """Raise `InputError` unless `value` is None or can be called."""
+    if value is not None and not callable(value):
+        raise InputError(f"{name} = {shown(value)}: must be a function; {remedy}")
+
+
+def check_path(name: str, value: object, remedy: str) -> None:
+    """Raise `InputError` unless `value` can be a path."""
+    check_kind(name, value, str, os.PathLike, remedy=remedy)
+    if "\0" in str(value):
+        raise InputError(f"{name} = {shown(value)}: no path has a null character; {remedy}")
+
+
+def as_paths(name: str, value: object, remedy: str) -> list[Path]:
+    """`value`, a path or several, as paths; raises `InputError` for anything else."""
+    if isinstance(value, str | os.PathLike):
+        check_path(name, value, remedy)
+        return [Path(value)]
+    check_kind(name, value, str, os.PathLike, Sequence, remedy=remedy)
+    assert isinstance(value, Sequence)
+    for number, path in enumerate(value):
+        check_path(f"{name}[{number}]", path, remedy)
+    return [Path(path) for path in value]
+
+
+def as_names(name: str, value: object, remedy: str) -> tuple[str, ...]:
+    """`value`, a text or several, as texts; raises `InputError` for anything else."""
+    if isinstance(value, str):
+        return (value,)
+    check_kind(name, value, str, Iterable, remedy=remedy)
+    assert isinstance(value, Iterable)
+    names = tuple(value)
+    for one in names:
+        check_kind(name, one, str, remedy=remedy)
+    return names
+
+
+def as_rows(name: str, value: object, count: int) -> Ints:
+    """Numbers of the rows that `value` chooses of `count`: a slice, numbers (from the end if negative) or a mask.
+
+    Raises `InputError` for anything else, and for numbers that are out of range.
+    """
+    everything = np.arange(count)
+    try:
+        return everything[value if isinstance(value, slice) else _numbers(value)]
+    except (IndexError, TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{name} = {shown(value)}: must be numbers in 0 … {count - 1}, a mask of {count} values, or a slice"
+        ) from None
+
+
+def _numbers(value: object) -> NDArray[np.generic]:
+    """Whole numbers or truth values; raises `TypeError` for anything else."""
+    array = np.asarray(value)
+    if array.ndim != 1 or array.dtype.kind not in "iub":
+        raise TypeError
+    return array
+
+
 def check_reals(name: str, value: object, shape: tuple[int | None, ...]) -> None:
     """Raise `InputError` unless `value` is an array of real numbers of the wanted shape (None: any size)."""
     check_kind(name, value, np.ndarray)
@@ -106,23 +165,6 @@ def numbers_of(what: str, text: str, count: int) -> list[int]:
             raise InputError(f"{asked}: this dataset has the {what} 0-{count - 1}")
         chosen.update(range(low, high + 1))
     return sorted(chosen)
-
-
-def shown(value: object) -> str:
-    """A value in one short line: its `repr` where that is short, else its type, or the shape of an array."""
-    shape = getattr(value, "shape", None)
-    if isinstance(shape, tuple) and shape:
-        return f"an array of shape {shape}"
-    if isinstance(value, type):
-        return f"the class {value.__name__}"
-    try:
-        text = repr(value)
-    except Exception:
-        # Of a whole number of thousands of digits, or of a user's own class: nothing that a message could show.
-        text = ""
-    # What begins with < is Python's own name of an object, with its place in memory.
-    is_short = 0 < len(text) <= LONGEST_SHOWN and not text.startswith("<") and text.isprintable()
-    return text if is_short else f"a {type(value).__name__}"
 
 
 def option(argument: str) -> str:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from datagen.errors import InputError
-from datagen.records.checks import check_number, shown
+from datagen.errors import InputError, shown
+from datagen.records.checks import check_number
 
 
 @dataclass(frozen=True)

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import (
     as_points,
     as_reals,
     check_choice,
     check_kind,
+    check_mapping,
     check_name,
     check_number,
     check_places,
-    shown,
+    check_reals,
 )
 from datagen.records.materials import Material
 
@@ -185,6 +186,10 @@ class Scene:
             if not isinstance(array, np.ndarray) or array.ndim != 1 + len(shape) or array.shape[1:] != shape:
                 wanted = ", ".join(("n", *map(str, shape)))
                 raise InputError(f"Scene.{name} = {shown(array)}: an array ({wanted}) needed; see Scene.from_parts")
+        for name, kind in (("part_names", str), ("materials", Material), ("roles", str)):
+            check_kind(f"Scene.{name}", getattr(self, name), Sequence, remedy="see Scene.from_parts")
+            for number, one in enumerate(getattr(self, name)):
+                check_kind(f"Scene.{name}[{number}]", one, kind, remedy="see Scene.from_parts")
         parts = len(self.part_names)
         if not len(self.triangles) == len(self.face_part) or not parts == len(self.materials) == len(self.roles):
             raise InputError(
@@ -194,6 +199,12 @@ class Scene:
         for name in ("relay_wall", "hidden_view"):
             if getattr(self, name) is not None:
                 check_kind(f"Scene.{name}", getattr(self, name), Rectangle, remedy="such as Rectangle.of(...)")
+        if self.hidden_bounds is not None:
+            check_reals("Scene.hidden_bounds", self.hidden_bounds, (2, 3))
+        if self.device_position is not None:
+            check_reals("Scene.device_position", self.device_position, (3,))
+        check_kind("Scene.parameters", self.parameters, Mapping)
+        check_mapping("Scene.poses", self.poses, Pose, remedy="the pose of each part that has one")
 
     @classmethod
     def from_parts(
@@ -241,12 +252,13 @@ class Scene:
             roles=tuple(p.role for p in parts), relay_wall=relay_wall, hidden_view=hidden_view,
             hidden_bounds=bounds,
             device_position=device,
-            parameters=_scalars(parameters or {}), attenuation_per_m=attenuation_per_m,
+            parameters=_scalars({} if parameters is None else parameters), attenuation_per_m=attenuation_per_m,
             poses={part.name: part.pose for part in parts if part.pose is not None},
         )  # fmt: skip
 
     def pose_of(self, part: str) -> Pose:
         """Class and axes of a part."""
+        check_kind("part", part, str, remedy="the name of a part")
         return self.poses.get(part) or Pose.upright(part)
 
     @property
@@ -281,9 +293,9 @@ class Scene:
 
     def faces_of(self, *names: str) -> Ints:
         """Indices of the triangles of the named parts, ascending."""
-        unknown = [n for n in names if n not in self.part_names]
+        unknown = [n for n in names if not isinstance(n, str) or n not in self.part_names]
         if unknown:
-            raise InputError(f"part {unknown[0]!r}: this scene has {', '.join(self.part_names)}")
+            raise InputError(f"part {shown(unknown[0])}: this scene has {', '.join(self.part_names)}")
         return np.flatnonzero(np.isin(self.face_part, [self.part_names.index(n) for n in names]))
 
 

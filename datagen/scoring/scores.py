@@ -13,7 +13,7 @@ import numpy as np
 
 from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
-from datagen.records.checks import check_kind
+from datagen.records.checks import check_kind, check_path
 from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import Truth, read_truth
@@ -91,7 +91,7 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     InputError : no such dataset, missing labels; predictions that have another form, are incomplete, or not finite.
     CheckError : the dataset is damaged.
     """
-    check_kind("suite", suite, str, os.PathLike, remedy="the folder that build_suite made")
+    check_path("suite", suite, "the folder that build_suite made")
     check_kind(
         "predictions", predictions, str, os.PathLike, Mapping, remedy="an .npz file, a Zarr group, or a mapping"
     )

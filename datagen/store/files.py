@@ -267,6 +267,13 @@ def check_writable(path: Path, by: str = "") -> None:
 
     by : how to name another folder, such as " with --out".
     """
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        # A name that is too long for the file system, or a folder that may not be looked into.
+        raise InputError(f"output {path}: {error.strerror}; name another folder{by}") from None
     existing = path
     while not os.path.lexists(existing) and existing != existing.parent:
         existing = existing.parent

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 from datagen import untrusted
 from datagen.errors import CheckError, InputError
+from datagen.records.checks import check_path
 
 SCHEME = "s3://"
 READ_BYTES = 2**20
@@ -152,9 +153,10 @@ def location_of(path: str | Path | Bucket) -> Location:
     Raises `InputError` for an address without bucket or name, with credentials, or of another scheme than s3, and if
     the extra `s3` is not installed.
     """
-    if isinstance(path, Path | Bucket):
+    if isinstance(path, Bucket):
         return path
-    if not re.match(r"[a-z][a-z0-9+.-]*://", path):
+    check_path("path", path, "name the folder of a dataset, or s3://bucket/name")
+    if isinstance(path, os.PathLike) or not re.match(r"[a-z][a-z0-9+.-]*://", path):
         return Path(path)
     named = re.fullmatch(r"s3://([a-z0-9][a-z0-9.-]{1,62})/((?:[\w.=+ -]+/)*[\w.=+ -]+)/?", path)
     if named is None or any(part in (".", "..") for part in named[2].split("/")):

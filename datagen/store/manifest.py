@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -16,9 +17,8 @@ from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
 from datagen.config.scene_contents import MeshFolder, MeshItem
 from datagen.config.scene_layouts import ImportedCaptures
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records import TimeAxis
-from datagen.records.checks import shown
 from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
 from datagen.store.environment import STATED, made_with
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
@@ -122,7 +122,7 @@ class Manifest:
                 raise DamagedManifest(f"{MANIFEST}: meshes: has no digest of {named}; {REMEDY}")
             remedy = f"put the one of SHA-256 {due} there, from which the dataset was made"
             # What is no plain file, such as a device, may have no end.
-            is_there = item.place.is_dir() if isinstance(item, MeshFolder) else item.place.is_file()
+            is_there = os.path.isdir(item.place) if isinstance(item, MeshFolder) else os.path.isfile(item.place)
             try:
                 now = item.digest() if is_there else None
             except OSError as error:

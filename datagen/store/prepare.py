@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,7 @@ WHEN_COMPLETE = ("samples.parquet", "croissant.json")
 
 def is_fresh(root: Path) -> bool:
     """Whether a build starts a new dataset: no folder, an empty one, or only the rest of a first file."""
-    if not root.exists():
+    if not os.path.exists(root):
         return True
     return root.is_dir() and all(
         path.name.startswith(f"{MANIFEST}.") and path.name.endswith(PARTIAL) for path in root.iterdir()

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import CheckError, InputError
+from datagen.errors import CheckError, InputError, shown
 from datagen.records import Scalar, TimeAxis
-from datagen.records.checks import shown
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.reader import DatasetReader

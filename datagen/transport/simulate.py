@@ -18,7 +18,7 @@ import numpy as np
 from datagen.errors import InputWarning
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints, l2_norm
-from datagen.records.checks import check_kind, check_seed
+from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.coincidence import set_apart
@@ -92,6 +92,7 @@ def simulate(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
+    check_flag("split_parts", split_parts)
     apart = set_apart(scene, capture)
     if apart.warning:
         warn(f"simulate: {apart.warning}", InputWarning, stacklevel=2)

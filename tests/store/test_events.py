@@ -76,7 +76,7 @@ def test_an_item_has_its_own_events(dataset: Path) -> None:
 
 
 def test_wrong_representations_and_shapes_are_refused(dataset: Path) -> None:
-    with pytest.raises(InputError, match="representation = 'sparse': must be 'dense', 'events' or 'volume'"):
+    with pytest.raises(InputError, match="representation = 'sparse': must be one of dense, events, volume"):
         dg.TransientDataset(dataset, representation="sparse")
     events, counts = torch.zeros((5, 4), dtype=torch.int32), torch.ones(5)
     for shape, n in (((4, 1, 16), 5), ((1, 4, 1, 16), 4)):

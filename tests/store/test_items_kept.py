@@ -246,7 +246,7 @@ def test_a_transform_runs_where_the_item_is_read(dataset: Path) -> None:
 
 def test_a_bad_transform_gets_a_line(dataset: Path) -> None:
     for wrong in (5, "log", {}):
-        with pytest.raises(InputError, match=r"transform = .*: must be a function from an item to an item"):
+        with pytest.raises(InputError, match=r"transform = .*: must be a function; it gets an item and returns one"):
             dg.TransientDataset(dataset, transform=wrong)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"transform: returned nothing for item 3; it must return the item"):
         dg.TransientDataset(dataset, transform=lambda item: None)[3]

@@ -172,5 +172,5 @@ def test_samples_are_those_of_a_build_for_any_number_of_workers(tmp_path: Path) 
 def test_fields_that_the_configuration_does_not_give_are_refused() -> None:
     with pytest.raises(dg.InputError, match="sdf"):
         dg.GeneratedDataset(config_from_mapping({}), ("sdf",))
-    with pytest.raises(dg.InputError, match="first = -1"):
+    with pytest.raises(dg.InputError, match=r"GeneratedDataset\.first = -1"):
         dg.GeneratedDataset(config_from_mapping({}), first=-1)
