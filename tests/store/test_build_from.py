@@ -103,7 +103,7 @@ def test_scenes_that_form_no_dataset_are_refused(tmp_path: Path) -> None:
     other = capture(dg.TimeAxis(bins=32, width_s=4e-10))
     for scenes, given, settings, piece in (
         ([], capture(), {}, "none given"),
-        ([room(1.0)], None, {}, "no Capture"),
+        ([room(1.0)], None, {}, "capture = None: a Capture is needed"),
         ([3], capture(), {}, "not a Scene"),
         ([room(1.0), (room(1.0), other)], capture(), {}, "one shape"),
         ([(room(1.0), capture(), np.zeros((2, 3, 5)))], None, {}, "transient"),
