@@ -102,11 +102,18 @@ def _page(runs: Runs, command: str, figures: tuple[str, ...]) -> Iterator[str]:
     rows = [["published, Fig. 7", *(f"{PEAKS_NS[name]:g}" if name in PEAKS_NS else "" for name in parts), *blank]]
     for (estimator, rays, scheme), case in runs.cases.items():
         counts = f"{rays}×{rays}×{pixels}×{pixels}, {scheme}" if rays else "simulate"
-        peaks = [f"{peak_ns(case.curves.parts[name], case.curves.time_ns):.1f}" for name in parts]
-        level = case.level["secondary"] / case.level["primary"] if case.level["primary"] > 0 else float("nan")
+        # Light of a part that no ray of a coarse grid met was not measured; the converged primary misses no part.
+        missing = "not measured: no ray met it" if estimator == "as printed" else "no light"
+        peaks = [
+            f"{peak_ns(curve, case.curves.time_ns):.1f}" if curve.any() else missing
+            for curve in (case.curves.parts[name] for name in parts)
+        ]
+        level = "no primary"
+        if case.level["primary"] > 0:
+            level = f"{case.level['secondary'] / case.level['primary']:.3g}"
         published = PUBLISHED_SECONDS.get((rays, scheme), "") if pixels == 60 and estimator == "as printed" else ""
         took = f"{case.seconds:.2f} ({case.processor_s:.2f})" + f"; published: {published}" * bool(published)
-        rows.append([f"{estimator}, {counts}", *peaks, f"{level:.3g}", took])
+        rows.append([f"{estimator}, {counts}", *peaks, level, took])
     yield table(head_row, rows)
     yield "</body></html>"
 

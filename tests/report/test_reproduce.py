@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,8 @@ def test_one_folder_holds_page_pictures_and_numbers(folder: Path) -> None:
         assert (folder / image).read_bytes()[:4] == b"\x89PNG" and f'src="{image}"' in page
     for name in PEAKS_NS:
         assert f"peak of {name}, ns" in page
+    # Of the coarsest grid no ray meets the pillar.
+    assert "nan" not in re.sub(r"<[^>]*>", " ", page).lower().split() and "not measured: no ray met it" in page
     cases = found["cases"]
     assert {f"{kind}, {rays}, {scheme}" for kind in ("as printed", "radiometric") for rays in TINY.rays
             for scheme in ("all", "strongest")} | {"converged, 0, all"} <= set(cases)  # fmt: skip
