@@ -11,17 +11,22 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import click
+import numpy as np
 import pytest
 import yaml
+from datasets import write_dataset
 
 import datagen
 from datagen.cli import cli
+from datagen.config import DatasetConfig
 from datagen.config.device import device_names
 from datagen.config.scene_brdfs import BrdfSettings
 from datagen.config.scene_layouts import AnyLayout
+from datagen.records import Sample
+from datagen.store import schema_of
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -167,6 +172,43 @@ def test_physics_page_simulates(monkeypatch: pytest.MonkeyPatch) -> None:
     names: dict[str, object] = {}
     exec(compile(example.replace("target=0.02", "target=0.2"), "docs/physics.md", "exec"), names)
     assert getattr(names["counts"], "shape", None) == (256, 1, 512)
+
+
+@pytest.fixture(scope="module")
+def quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with configs/quickstart.yaml, but for its accuracy, and a dataset of its shape that took no light."""
+    folder = tmp_path_factory.mktemp("datasets")
+    text = (ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8")
+    (folder / "configs").mkdir()
+    (folder / "configs/quickstart.yaml").write_text(text.replace("target: 0.02", "target: 0.3"), encoding="utf-8")
+    rng = np.random.default_rng(0)
+
+    def made_up(config: DatasetConfig, index: int) -> Sample:
+        fields = schema_of(config).fields
+        arrays = {field.name: rng.poisson(0.05, field.shape).astype(field.dtype) for field in fields}
+        arrays["hidden_view"], arrays["relay_wall"] = (np.diag([2.0, 1, 1])[[2, 0, 1]] for _ in range(2))
+        return Sample(index, arrays, {"transient.relative_error": 0.02, "index": index}, {})
+
+    config = datagen.load_config(folder / "configs/quickstart.yaml").with_scenes(20)
+    write_dataset(config, folder / "out/quickstart.zarr", made_up)
+    return folder
+
+
+def test_datasets_page_runs_on_its_own_dataset(quickstart: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its examples one after the other, as in a notebook."""
+    monkeypatch.chdir(quickstart)
+    page = ROOT / "docs/datasets.md"
+    examples = re.findall(r"^```python\n(.*?)^```", TEXTS[page], re.DOTALL | re.MULTILINE)
+    assert len(examples) >= 6
+    names: dict[str, Any] = {}
+    for number, example in enumerate(examples):
+        exec(compile(example, f"docs/datasets.md, example {number}", "exec"), names)
+    path, last = names["path"], names["batch"]["scene"]
+    stored = datagen.collate([datagen.TransientDataset(path)[int(scene)] for scene in last])
+    assert names["histograms"].equal(stored["histogram"]) and names["rooms"].histogram.shape == (20, 256, 1, 512)
+    assert names["crop"].shape("histogram") == (64, 1, 256) and names["few"].shape("histogram") == (3, 1, 512)
+    assert names["volumes"].shape("volume") == (32, 32, 32) and names["item"]["depth"].any()
+    assert len(names["errors"]) == len(names["train"]) and callable(names["predict"])
 
 
 def test_versions_agree() -> None:
