@@ -20,7 +20,7 @@ from datagen.records.arrays import Floats
 from datagen.report.curves import busy_window
 from datagen.report.labels import DRAWN, LabelImage
 from datagen.report.replay import Replay, StoredScene
-from datagen.report.scans import Raster
+from datagen.report.scans import Raster, reach
 from datagen.report.style import part_colors
 
 MOST_TRIANGLES = 400
@@ -32,10 +32,11 @@ _CUBE = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 
                   [0, 6, 4], [1, 5, 7], [1, 7, 3]])  # fmt: skip
 
 
-def explorer(scenes: Sequence[dict[str, Any]]) -> str:
-    """HTML with style and script that shows `scenes`, each made by `scene_data`."""
+def explorer(scenes: Sequence[dict[str, Any]], total: int) -> str:
+    """HTML with style and script that shows `scenes`, each made by `scene_data`, of `total` in the dataset."""
     page = (Path(__file__).parent / "explorer_page.html").read_text(encoding="utf-8")
     # No tag or comment of HTML within the data must end the script, or keep its own tag from doing so.
+    page = page.replace("/*total*/0", str(total))
     return page.replace("[/*scenes*/]", json.dumps(scenes, separators=(",", ":")).replace("<", "\\u003c"))
 
 
@@ -96,6 +97,12 @@ def _scan(replayed: Replay) -> dict[str, Any]:
     step = max(1, -(-(last - first) // MOST_BINS))
     starts = np.arange(first, last, step)
     binned = {name: np.add.reduceat(values[..., :last], starts, axis=-1) for name, values in grids.items()}
+    # The page opens at the bin that has most light of the objects, and at the place that has most of it then: most of
+    # all light comes before, from the room.
+    opened = np.sum([values for name, values in binned.items() if name in replayed.scene.objects], axis=0)
+    opened = opened if np.any(opened) else binned["all light"]
+    at = int(np.argmax(opened.sum(axis=(0, 1))))
+    place = np.unravel_index(np.argmax(opened[..., at]), opened.shape[:2])
     highest, colors = max(float(values.max()) for values in binned.values()) or 1.0, part_colors(replayed.scene)
     curves = [
         {
@@ -108,8 +115,21 @@ def _scan(replayed: Replay) -> dict[str, Any]:
     return {
         "rows": whole.shape[0], "columns": whole.shape[1], "bins": len(starts), "decades": DECADES,
         "highest": highest, "start_ns": float(time.edges_s[first] * 1e9), "width_ns": step * time.width_s * 1e9,
-        "curves": curves,
+        "open": {"bin": at, "place": [int(index) for index in place]}, "curves": curves,
+        "across": _across(raster), "up": _up(raster),
     }  # fmt: skip
+
+
+def _across(raster: Raster) -> dict[str, Any]:
+    """The horizontal axis of a scan: its name, and its ends from half a step before the first place."""
+    if raster.x_m is None:
+        return {"name": f"number of the {raster.what}", "ends": [-0.5, raster.channels.shape[1] - 0.5]}
+    return {"name": "right (m)", "ends": reach(raster.x_m)}
+
+
+def _up(raster: Raster) -> dict[str, Any] | None:
+    """The vertical axis of a scan, whose first end is at the top; None for places on no grid, in a single row."""
+    return None if raster.z_m is None else {"name": "up (m)", "ends": reach(raster.z_m)}
 
 
 def _layers(replayed: Replay, total: Floats) -> Mapping[str, Floats]:

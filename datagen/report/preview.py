@@ -85,7 +85,7 @@ def _page(root: Path, dataset: Description, scenes: int) -> Iterator[str]:
         if replayed is not None:
             for name, picture in pages(stored, replayed, ["overview"]):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
-    yield explorer(shown) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
+    yield explorer(shown, dataset.made) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
     yield "<h2>Scenes in full</h2>"
     yield from pictures
     figure = parameter_page(varying(dataset.parameters))

@@ -109,7 +109,7 @@ def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
             continue
         for number, bins in enumerate(at):
             axes = right.add_subplot(len(layers), MOMENTS, line * MOMENTS + number + 1)
-            extent = (*_reach(raster.x_m), *_reach(raster.z_m)[::-1])
+            extent = (*reach(raster.x_m), *reach(raster.z_m)[::-1])
             shown = np.sqrt(scan[..., bins].sum(axis=-1))
             axes.imshow(shown, extent=extent, cmap=_COLORS, interpolation="nearest", vmin=0.0)
             edges = light.time.edges_s * 1e9
@@ -124,7 +124,7 @@ def draw_time_slice(
     """The row of a (row, column, bin) scan that objects reach most: place across, time down, brightness by powers."""
     row = int(np.argmax(raster.scan_of(light.clear).sum(axis=(1, 2))))
     edges = light.time.edges_s * 1e9
-    across = _reach(np.arange(scan.shape[1], dtype=np.float64) if raster.x_m is None else raster.x_m)
+    across = reach(np.arange(scan.shape[1], dtype=np.float64) if raster.x_m is None else raster.x_m)
     named = f"row {row + 1} from the top" if raster.x_m is not None else f"{raster.what}s"
     axes.set_title(f"Time along {named}" + (f", {what}" if what else ""))
     axes.set(xlabel="right (m)" if raster.x_m is not None else f"number of the {raster.what}")
@@ -156,7 +156,7 @@ def moments(scan: Floats) -> list[slice]:
     return [slice(max(0, c - half), min(len(curve), c + half + 1)) for c in centers]
 
 
-def _reach(places: Floats) -> tuple[float, float]:
+def reach(places: Floats) -> tuple[float, float]:
     """From half a step before the first place to half a step after the last."""
     half = float(places[1] - places[0]) / 2 if len(places) > 1 else 0.5
     return float(places[0]) - half, float(places[-1]) + half

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -16,6 +17,7 @@ from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning
 from datagen.records import Scene
+from datagen.report import preview as module
 from datagen.report.contact_sheet import contact_sheet, label_sheet
 from datagen.report.pages import PAGES, show
 from datagen.report.parameter_plots import varying
@@ -77,6 +79,32 @@ def test_show_writes_beside_the_dataset_and_leaves_it_alone(dataset: Path) -> No
     assert {path.parent for path in written} == {dataset.with_name("small.zarr.show")}
     assert all(imread(path).std() > 0.02 for path in written)
     assert before == {path: path.stat().st_mtime_ns for path in dataset.rglob("*")}
+
+
+def test_the_page_opens_at_the_light_of_the_objects_of_a_scan_with_axes(
+    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And it says how many rooms there are, of which it shows some."""
+    monkeypatch.setattr(module, "ROOMS", 2)
+    page = preview(dataset, tmp_path / "page.html", scenes=1).read_text(encoding="utf-8")
+    found = re.search(r"const scenes = (\[.*\]), total = (\d+)", page)
+    assert found is not None and found[2] == "8"
+    scenes = json.loads(found[1])
+    assert len(scenes) == 2
+    again, scan = replay(read_scene(dataset, 0)), scenes[0]["scan"]
+    objects = np.sum([again.transient.parts[name] for name in again.scene.objects], axis=0)
+    assert objects.any() and scan["width_ns"] == pytest.approx(0.8)
+    time_ns = again.capture.time.start_s * 1e9 + 0.8 * np.argmax(objects.sum(axis=(0, 1)))
+    assert scan["start_ns"] + 0.8 * scan["open"]["bin"] == pytest.approx(time_ns)
+    row, column = scan["open"]["place"]
+    strongest = objects[..., np.argmax(objects.sum(axis=(0, 1)))]
+    assert strongest.reshape(3, 4)[row, column] == strongest.max()
+    # Half a step beyond the outermost of 4 × 3 places, which are as far apart as laser points.
+    points = again.capture.laser.targets.reshape(3, 4, 3)
+    across, up = (np.linalg.norm(points[0, 1] - points[0, 0]), np.linalg.norm(points[1, 0] - points[0, 0]))
+    (left, right), (top, bottom) = scan["across"]["ends"], scan["up"]["ends"]
+    assert (right - left, top - bottom) == pytest.approx((4 * across, 3 * up))
+    assert (scan["across"]["name"], scan["up"]["name"]) == ("right (m)", "up (m)")
 
 
 def test_bad_requests_failed_scenes_and_missing_shards_have_their_line(dataset: Path, tmp_path: Path) -> None:

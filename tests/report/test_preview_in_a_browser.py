@@ -27,7 +27,14 @@ const told = [], say = id => told.push(document.getElementById(id).textContent);
 const moved = (id, value, kind) => {
   const it = document.getElementById(id); it.value = value; it.dispatchEvent(new Event(kind)); };
 say("when"); moved("time", 3, "input"); say("when"); say("found"); moved("of_class", "chair", "change"); say("found");
-document.getElementById("gallery").children[1].click(); say("chosen");
+const wall = document.getElementById("wall"), picture = wall.getContext("2d");
+const drawn = (x, y, w, h) => [...picture.getImageData(x, y, w, h).data];
+const light = (x, y) => drawn(x, y, 1, 1).slice(0, 3).reduce((a, b) => a + b);
+told.push(String(drawn(0, 0, 60, 420).some(v => v) && drawn(90, 370, 340, 20).some(v => v)));
+told.push(String(light(455, 20) > light(455, 180) && light(455, 180) > light(455, 350)));
+say("where"); const box = wall.getBoundingClientRect(), zoom = box.width / 700;
+wall.dispatchEvent(new PointerEvent("pointerdown", {clientX: box.left + 400 * zoom, clientY: box.top + 40 * zoom}));
+say("where"); document.getElementById("gallery").children[1].click(); say("chosen");
 say("objects"); told.push(String(document.querySelectorAll(".weak").length));
 told.push(String(document.documentElement.scrollWidth <= window.innerWidth));
 document.getElementById("told").textContent = told.join("|") + "|" + window.faults.join(";");
@@ -37,7 +44,9 @@ document.getElementById("told").textContent = told.join("|") + "|" + window.faul
 def scene(index: int, label: str, scanned: bool) -> dict[str, object]:
     corners = [0.0, 0, 0, 1, 0, 0, 0, 1, 1]
     curve = {"name": "all light", "color": "#222222", "values": "AAECAwQFBgcICQoLDA0ODw=="}
-    scan = {"rows": 2, "columns": 2, "bins": 4, "decades": 4.0, "highest": 1e-9, "start_ns": 2.0, "width_ns": 0.5}
+    scan = {"rows": 2, "columns": 2, "bins": 4, "decades": 4.0, "highest": 1e-9, "start_ns": 2.0, "width_ns": 0.5,
+            "open": {"bin": 2, "place": [1, 0]}, "across": {"name": "right (m)", "ends": [-1.0, 1.0]},
+            "up": {"name": "up (m)", "ends": [0.5, -1.5]}}  # fmt: skip
     return {
         "index": index, "layout": "l_corridor", "classes": [label], "error": 0.01 * index, "device": [0.0, 0, 1],
         "parts": [{"name": label, "role": "object", "color": "#E69F00", "corners": corners, "sigma": 0.5 + index}],
@@ -50,7 +59,7 @@ def scene(index: int, label: str, scanned: bool) -> dict[str, object]:
 def test_it_loads_slides_and_filters(tmp_path: Path) -> None:
     """In a window as narrow as a telephone's."""
     scenes = [scene(0, "box <!--<script></script>", True), scene(7, "chair", False)]
-    page = head("preview").replace("<style>", BEFORE + "<style>", 1) + explorer(scenes) + AFTER + "</body></html>"
+    page = head("preview").replace("<style>", BEFORE + "<style>", 1) + explorer(scenes, 9) + AFTER + "</body></html>"
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     done = subprocess.run(
         [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
@@ -59,9 +68,13 @@ def test_it_loads_slides_and_filters(tmp_path: Path) -> None:
     )  # fmt: skip
     told = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)
     assert told is not None, done.stderr
-    before, after, all_shown, some_shown, chosen, objects, weak, fits, faults = told[1].split("|")
-    assert (before, after) == ("2.50 – 3.00 ns", "3.50 – 4.00 ns")
-    assert (all_shown, some_shown) == ("2 of 2 rooms shown", "1 of 2 rooms shown")
+    before, after, all_shown, some_shown, axes, scale, opened, pointed, *others = told[1].split("|")
+    assert (before, after) == ("3.00 – 3.50 ns", "3.50 – 4.00 ns")
+    assert (all_shown, some_shown) == ("2 of 9 rooms shown", "1 of 9 rooms shown")
+    chosen, objects, weak, fits, faults = others
+    # Numbers beside and below the wall, and a scale from bright to dark at its right.
+    assert (axes, scale) == ("true", "true")
+    assert opened.startswith("at row 2, column 1 ") and pointed.startswith("at row 1, column 2 ")
     # One of the two is under 3 σ, in the gallery alone: the other is chosen.
     assert (objects, weak) == ("chair 7.5 σ", "1")
     assert (chosen, fits, faults) == ("Scene 7", "true", "")
@@ -69,7 +82,7 @@ def test_it_loads_slides_and_filters(tmp_path: Path) -> None:
 
 def test_data_cannot_end_the_script() -> None:
     """Nor open a comment with a script in it, after which the page's own closing tag ends nothing."""
-    page = explorer([scene(0, "</script> <!--<script>", False)])
+    page = explorer([scene(0, "</script> <!--<script>", False)], 1)
     assert page.count("</script>") == 1 and page.count("<script>") == 1 and "<!--" not in page
 
 
