@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,6 +23,9 @@ from pydantic import BaseModel
 
 import datagen as dg
 from datagen.config import config_from_mapping
+from datagen.devices.zone_order import ORDERS, zones_listed
+from datagen.scoring.predictions import read_predictions
+from datagen.store import read_manifest
 
 CONFIG = Path(__file__).parents[1] / "configs" / "quickstart.yaml"
 EYE = (2.0, -1.0, 1.0)
@@ -406,13 +410,13 @@ def test_whatever_is_given_only_our_errors_come_out(name: str, made: Made, monke
                 raise AssertionError(f"{argument} = {what}: {type(error).__name__}: {error}") from error
 
 
-def refused(call: Callable[[], object]) -> str:
+def refused(call: Callable[[], object], longest: int = 300) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(dg.InputError) as caught:
             call()
     message = str(caught.value)
-    assert "\n" not in message and len(message) < 300, message
+    assert "\n" not in message and len(message) < longest, message
     return message
 
 
@@ -430,6 +434,27 @@ def test_wrong_arguments_are_refused_in_one_line_that_names_them(what: str) -> N
 def test_wrong_calls_are_refused_in_one_line(what: str) -> None:
     name, call = ALONE[what]
     assert name in refused(call)
+
+
+OF_ANOTHER_NAME: dict[str, Callable[[str, Path], object]] = {
+    "tmf8820": lambda name, _: dg.device(name),
+    "letters-1": lambda name, folder: dg.build_suite(name, folder / "new"),
+    "pillar": lambda kind, _: config_from_mapping({"scene": {"contents": [{"kind": kind}]}}),
+    "description": lambda key, _: config_from_mapping({key: 3}),
+    "depth": lambda name, folder: read_predictions(
+        {"scene": np.zeros(1), name: np.zeros(1)}, SimpleNamespace(manifest=read_manifest(folder / "set"))),  # type: ignore[arg-type]
+    "rows from top left": lambda order, _: zones_listed("frames", order, dg.device("tmf8820").zones, 9),
+}  # fmt: skip
+"""A name that is known → a call with another."""
+
+
+@pytest.mark.parametrize("known", OF_ANOTHER_NAME)
+def test_an_unknown_name_brings_what_is_known_in_a_sentence_as_one_writes_it(known: str, made: Made) -> None:
+    """With a capital only where a sentence begins, after the question whether another name is meant."""
+    for name, is_near in ((known[:-1], True), ("quite?else", False)):
+        message = refused(lambda name=name: OF_ANOTHER_NAME[known](name, made.folder), 2000)  # type: ignore[misc]
+        assert ("did you mean" in message) is is_near and (known in message or known in ORDERS), message
+        assert not re.search(r"[;:,] [A-Z][a-z]+ [a-z]", message) and not re.search(r"\? [a-z]", message), message
 
 
 def lit(target: tuple[float, float, float]) -> dg.Transient:
