@@ -8,6 +8,7 @@ level of `LEVEL` for each case.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -52,10 +53,14 @@ def numbers(run: Transient) -> tuple[list[float], list[float]]:
     return [*parts, outside, outside + windows.sum()], list(windows)
 
 
+def coarse(scene: Scene, capture: Capture) -> list[Transient]:
+    accuracy = Accuracy(target=0.1, part_target=1.0, max_bounces=3)
+    return [simulate(scene, capture, accuracy, seed=s) for s in range(SEEDS)]
+
+
 def agree(scene: Scene, capture: Capture) -> list[Transient]:
     """Compare coarse runs with sampled paths; returns the runs."""
-    accuracy = Accuracy(target=0.1, part_target=1.0, max_bounces=3)
-    runs = [simulate(scene, capture, accuracy, seed=s) for s in range(SEEDS)]
+    runs = coarse(scene, capture)
     assert {run.samplers["primary"] for run in runs} <= {"cuts", "paths"}
     paths = [
         reference(scene, capture, samples=1 << 13, replicates=1, seed=s, draw=sample_paths) for s in range(SEEDS)
@@ -90,9 +95,14 @@ CASES = {
 }  # fmt: skip
 
 
+@cache
+def agreed(case: str) -> list[Transient]:
+    return agree(*CASES[case])
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_the_mean_over_seeds_is_that_of_paths(case: str) -> None:
-    agree(*CASES[case])
+    agreed(case)
 
 
 def test_a_triangle_with_all_corners_hidden_brings_the_light_of_its_middle() -> None:
@@ -134,8 +144,7 @@ def test_outer_sides_of_closed_meshes_alone() -> None:
 def test_light_after_the_end_of_the_window_is_overflow() -> None:
     """A window that ends within the light has, with its overflow, the energy of a long one."""
     scene, capture = CASES["a ball behind bars"]
-    half = replace(capture, time=bins_of_path(48, 0.05, 0.6))
-    found = [[simulate(scene, of, Accuracy(target=0.1), seed=s) for s in range(SEEDS)] for of in (capture, half)]
+    found = agreed("a ball behind bars"), coarse(scene, replace(capture, time=bins_of_path(48, 0.05, 0.6)))
     long, short = (np.array([run.total.sum() + run.overflow.sum() for run in runs]) for runs in found)
     known = np.hypot(stats.sem(long), stats.sem(short))
     assert abs(long.mean() - short.mean()) < stats.t.isf(LEVEL / 2, SEEDS - 1) * known
