@@ -21,7 +21,6 @@ from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.path_light import Rows
 from datagen.transport.problem import Problem
-from datagen.transport.reference import pairs_of
 
 RUNS = 8
 """Independent runs of paths, from which the noise of the check is known to a quarter."""
@@ -67,9 +66,9 @@ class PlainPaths:
         """The components of an accuracy, and the primary by part, with `samples` paths of each pair in each run."""
         problem = Problem.of(scene, capture, accuracy, seed, split_parts=True)
         rows = Rows.of_components(problem, problem.components)
-        every = pairs_of(capture)
-        which = np.arange(len(every)) if pairs is None else pairs
-        found = np.stack([rows.light(problem, every[which], samples, (9, run))[..., 1:-1] for run in range(RUNS)])
+        which = np.arange(problem.pairs.histograms) if pairs is None else pairs
+        some = problem.pairs.of_histograms(which).T.ravel()
+        found = np.stack([rows.light(problem, some, len(which), samples, (9, run))[..., 1:-1] for run in range(RUNS)])
         runs = {name: found[:, of].sum(axis=1) for name, of in rows.names.items()}
         return cls(runs | {name: found[:, k] for k, name in enumerate(problem.parts)}, which)
 

@@ -72,7 +72,8 @@ class World(NamedTuple):
 
     kind, values : the `MaterialTable`. air : attenuation, 1/m. offset : by which ends of rays are lifted off their
     surfaces, m. frame : embree's centre and half extent, m. per_metre, start : bins of a metre of path, and the first
-    bin. is_confocal : whether pixel i looks at laser point i.
+    bin. is_confocal : whether pixel i looks at laser point i. is_flood : whether all laser points of a group share
+    the histograms of its pixels.
     """
 
     kind: Ints
@@ -83,6 +84,7 @@ class World(NamedTuple):
     per_metre: float
     start: float
     is_confocal: bool
+    is_flood: bool
 
 
 class Ends(NamedTuple):
@@ -424,10 +426,10 @@ def _spread(of_x, of_y, time_x, time_y, g, between, stride, light, place, histog
     """Adds the light of_x · of_y · g of every pair of ends to the bin of its arrival.
 
     The first column of the histogram is what comes before the window, the last what comes after. stride : rows from
-    one laser point to the next, 0 where pixel i looks at laser point i. light, place : room for N values.
+    one laser point to the next, −1 where pixel i looks at laser point i. light, place : room for N values.
     """
     last = np.float32(histogram.shape[1] - 1)
-    if stride == 0:
+    if stride < 0:
         for k in range(len(of_x)):
             light[k] = of_x[k] * of_y[k] * g
             place[k] = np.int32(min(max(time_x[k] + time_y[k] + between, np.float32(0.0)), last))
@@ -500,7 +502,8 @@ def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram): 
                 from_y = own_y
             g = np.float32(abs(up * down) / r**2 * math.exp(-world.air * r) / expected)
             # One more bin, as the first column is what comes before the window.
-            between, stride = np.float32(r * world.per_metre - world.start + 1.0), 0 if world.is_confocal else M
+            between = np.float32(r * world.per_metre - world.start + 1.0)
+            stride = -1 if world.is_confocal else 0 if world.is_flood else M
             _spread(from_x, from_y, time_x[i], time_y[j], g, between, stride, light, place, histogram)
 
 
@@ -558,13 +561,14 @@ class Blocks:
             problem.materials.kind.astype(np.int64), problem.materials.values,
             float(problem.scene.attenuation_per_m), self.caster.offset_m,
             (*self.caster.center, self.caster.half_extent_m), 1.0 / float(path_from_time(axis.width_s)),
-            axis.start_s / axis.width_s, capture.pairing == "confocal",
+            axis.start_s / axis.width_s, capture.pairing == "confocal", capture.illumination == "flood",
         )  # fmt: skip
         exists = points.part >= 0
         leg = np.where(exists, points.leg, 0.0)
         self.lasers = Ends(
             np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            np.where(exists, np.exp(-self.world.air * leg), 0.0), leg * (axis.origin == "source"),
+            np.where(exists, problem.pairs.share * np.exp(-self.world.air * leg), 0.0),
+            leg * (axis.origin == "source"),
             np.zeros(len(leg)), np.ones(len(leg)),
         )  # fmt: skip
         self.unit = 1.0
@@ -576,7 +580,7 @@ class Blocks:
             self.groups = [Group(some, some, some) for some in of_lasers]
         else:
             self.groups = [
-                Group(some, pixels, (some[:, None] * P + pixels).ravel())
+                Group(some, pixels, pixels if self.world.is_flood else (some[:, None] * P + pixels).ravel())
                 for pixels in _neighbours(middle.position, size)
                 for some in of_lasers
             ]
@@ -627,7 +631,9 @@ class BlocksOf:
         are laser points.
         """
         by_laser = by_pixel = error
-        if not self.blocks.world.is_confocal:
+        if self.blocks.world.is_flood:
+            by_laser = np.ones(len(self.blocks.groups[group].lasers))
+        elif not self.blocks.world.is_confocal:
             table = error.reshape(len(self.blocks.groups[group].lasers), -1)
             by_laser, by_pixel = table.sum(axis=1), table.sum(axis=0)
         self.chances[group] = _chances(by_laser), _chances(by_pixel)

@@ -44,6 +44,8 @@ BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
 """BRDF that a cluster of FoV points is taken for at least, as its points may be of several materials, 1/sr."""
+COARSE = 1e300
+"""A δ with which only what is near is cut."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 BOX, PIECE = 0, 1
@@ -118,7 +120,8 @@ class Piece(NamedTuple):
 
     verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
     bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
-    square of its size over its distance from the laser point and the cluster.
+    square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
+    within the window.
     """
 
     verdict: int
@@ -127,6 +130,7 @@ class Piece(NamedTuple):
     width: float
     bend: float
     across: float
+    inside: bool
 
 
 class Walk(NamedTuple):
@@ -134,8 +138,9 @@ class Walk(NamedTuple):
 
     tag, piece : what waits, (STACK, 5) BOX or PIECE, its index, the cluster, its first square and their number;
     (STACK, 15) corners of a piece, and the guesses and distances to the laser point there. at : (4,) pair, part and
-    height of the stack at which to go on, and elements so far; all 0 at first. numbers, state : (3,) and (1,)
-    random numbers, and the state of their stream.
+    height of the stack at which to go on, and elements so far; all 0 at first. numbers, state : (4,) and (1,)
+    random numbers, and the state of their stream. The last number, a random one at first, tells when an element is
+    drawn.
     """
 
     tag: Ints
@@ -145,10 +150,10 @@ class Walk(NamedTuple):
     state: NDArray[np.uint64]
 
     @classmethod
-    def of(cls) -> Walk:
-        """A walk that has not begun."""
+    def of(cls, u: float) -> Walk:
+        """A walk that has not begun. u : a random number in 0 … 1."""
         return cls(
-            np.empty((STACK, 5), np.int64), np.empty((STACK, 15)), np.zeros(4, np.int64), np.empty(3),
+            np.empty((STACK, 5), np.int64), np.empty((STACK, 15)), np.zeros(4, np.int64), np.full(4, u),
             np.empty(1, np.uint64),
         )  # fmt: skip
 
@@ -256,6 +261,20 @@ def light_of_box(tree, at, surface, lit, seen, values, air, plane):  # type: ign
 
 
 @compiled(forceinline=True, allocates=False)
+def may_arrive(early, late, room):  # type: ignore[no-untyped-def]
+    """Whether light on paths of some lengths, metres, may arrive within the window."""
+    return late * room.per_metre > room.start and early * room.per_metre < room.start + room.bins
+
+
+@compiled(forceinline=True, allocates=False)
+def box_may_arrive(tree, at, leg, room, lit, seen):  # type: ignore[no-untyped-def]
+    """Whether light by way of box `at` may arrive within the window; leg : to laser and sensor, metres."""
+    m, r = bounding_sphere(tree.box, at)
+    middle, off = distance(m, lit.point) + distance(m, seen.middle) + leg, 2.0 * (r + seen.size)
+    return may_arrive(middle - off, middle + off, room)
+
+
+@compiled(forceinline=True, allocates=False)
 def push(tag, top, what, at, c, q, many):  # type: ignore[no-untyped-def]
     """Lets a box or piece and a cluster wait at `top`."""
     tag[top, 0], tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] = what, at, c, q, many
@@ -350,17 +369,21 @@ def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # typ
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0)
+        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
-    # Over a cluster times must be linear, too.
-    is_near = size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h
-    is_bent = 0.25 * size * size * room.per_metre > SAGITTA * min(d3, last_leg)
-    if walk.tag[top, 4] > 1 and (is_near or is_bent):
-        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0)
-    may_halve = h > room.smallest
+    may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
+    # Over a cluster the light must be linear.
+    if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
+        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False)
+    t0, t1, t2 = (
+        piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
+    )  # fmt: skip
+    late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
+    leg += last_leg if room.device else 0.0
+    is_inside = may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0)
+        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     is_matt = lit.brdf.kind == LAMBERTIAN and seen.brdf.kind == LAMBERTIAN and surface.brdf.kind == LAMBERTIAN
@@ -368,17 +391,15 @@ def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # typ
         most = max(most, guess(m, n, surface, lit, seen, room.values, room.air, room.plane, h + size)[0])
     normal = cross(subtract(y1, y0), subtract(y2, y0))
     area = 0.5 * math.sqrt(dot(normal, normal))
-    t0, t1, t2 = (
-        piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
-    )  # fmt: skip
-    late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
     width = max(1.0, (late - early) * room.per_metre)
     bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre
-    # What arrives outside the window only counts as a sum.
-    leg += last_leg if room.device else 0.0
-    is_inside = (late + 2 * size + leg) * room.per_metre > room.start
-    is_inside &= (middle - h - 2 * size + leg) * room.per_metre < room.start + room.bins
     across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
-    is_bright = seen.gain * area * most * (1.0 + BENT * bend / width) > delta * math.sqrt(width)
-    verdict = HALVES if may_halve and is_inside and is_bright else SAMPLE
-    return Piece(verdict, most, area, width, bend, across)
+    # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
+    verdict, light, worth = SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
+    if is_inside:
+        arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
+        if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
+            verdict = CLUSTER_FIRST
+        elif may_halve and light * (1.0 + BENT * bend / width) > worth:
+            verdict = HALVES
+    return Piece(verdict, most, area, width, bend, across, is_inside)

@@ -16,11 +16,13 @@ from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
     BOX,
     CLUSTER_FIRST,
+    COARSE,
     COARSEST_CLUSTER,
     HALVES,
     SAMPLE,
     Piece,
     Surface,
+    box_may_arrive,
     cluster_of,
     guess,
     halve,
@@ -48,8 +50,6 @@ that one with more is quartered for the spread of its light."""
 WIDE = 0.1
 """Distance at which the times over a cluster are told apart, relative to the span of those over the element, but at
 least a bin."""
-COARSE = 1e300
-"""A δ with which only what is near is cut."""
 UNEVEN = 0.5
 """Range of the place at which pieces are halved, relative to their side: no two replicates have the same elements."""
 STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
@@ -85,9 +85,19 @@ CORNERS, PLACES, BETWEEN, PARTS = _divided()
 """Of a triangle's parts."""
 
 
+class Asked(NamedTuple):
+    """What is asked of each part (K,): delta, photons that an element brings at most; slot, the place of the part's
+    rows, −1 for parts that are left out. least : chance, at least, of an element that brings much less to get a
+    sample, which then stands for all those that get none."""
+
+    delta: Floats
+    slot: Ints
+    least: float
+
+
 class Pair(NamedTuple):
     """A laser point and a pixel: the laser point, its distance to the laser where that counts, m, the share of light
-    that gets there, and the index of the pixel."""
+    that it stands for, and the index of the pixel."""
 
     lit: End
     leg: float
@@ -319,37 +329,48 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
 
 
 @compiled(forceinline=True, allocates=False)
-def _sample(walk, top, piece, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
-    """Sets sample `used` of the batch to one of the box or piece at `top`; returns whether it brings light."""
+def _sample(walk, top, piece, chance, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
+    """Sets sample `used` of the batch to one of the box or piece at `top`, which is drawn with some chance; returns
+    whether it brings light."""
     hidden = _drawn(walk, top, piece, room, surface, pair.lit, seen, batch.at[used])
     lobe, many = min(surface.lobe, seen.lobe), walk.tag[top, 4]
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
-    expected[0] += seen.gain * hidden.light
-    expected[1] += seen.gain * hidden.light if is_near else 0.0
+    expected[0] += seen.gain * hidden.light / chance
+    expected[1] += seen.gain * hidden.light / chance if is_near else 0.0
     j, light = _seen_from(hidden, walk, top, replicate, room, pool, surface, pair, batch.change[used, 2:])
     if j < 0:
         return False
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
     _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
-    batch.light[used], batch.level[used] = light / hidden.total, hidden.level
+    batch.light[used], batch.level[used] = light / (chance * hidden.total), hidden.level
+    return True
+
+
+@compiled(forceinline=True, allocates=False)
+def _is_drawn(walk, chance):  # type: ignore[no-untyped-def]
+    """Whether the next element gets a sample: systematic, so that those of neighbours are drawn evenly."""
+    walk.numbers[3] += chance
+    if walk.numbers[3] < 1.0:
+        return False
+    walk.numbers[3] -= 1.0
     return True
 
 
 @compiled(allocates=False)
-def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
+def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
-    pairs : (n, 2) laser point, and index of the pixel in `pool`. delta : (K,) photons. slot : (K,) place of each
-    part's rows, −1 for parts that are left out. most : elements of the walk from which on only what is near is cut.
-    replicate : 0 or 1. walk : goes on where the last batch was full; its pair is n when all is done. expected : (2,)
-    photons as guessed, added up: of all pieces, and of those whose FoV points are far apart for their distance.
+    pairs : (n, 3) laser point, index of the pixel in `pool`, and row of the histogram, of so many `rows`. asked :
+    `Asked`. most : elements of the walk from which on only what is near is cut. replicate : 0 or 1. walk : goes on
+    where the last batch was full; its pair is n when all is done. expected : (3,) photons as guessed, added up: of
+    all pieces, of those whose FoV points are far apart for their distance, and of what may arrive within the window.
     """
     used, at, tag, lasers = 0, walk.at, walk.tag, room.lasers
     for pair in range(at[0], len(pairs)):
-        i, p = pairs[pair, 0], pairs[pair, 1]
+        i, p, row = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2]
         k1 = lasers.part[i]
-        if k1 < 0 or pool.cluster[p, 0, 9] <= 0.0:
+        if k1 < 0 or room.power[i] <= 0.0 or pool.cluster[p, 0, 9] <= 0.0:
             continue
         brdf = brdf_of(room.kind, room.values, k1)
         lit = End(get(lasers.position, i, 0), get(lasers.normal, i, 0), get(lasers.to_laser, i, 0), brdf)
@@ -361,7 +382,7 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
                 walk.numbers[d] = _random(walk.state)
         for k in range(at[1], len(room.tree.roots)):
             top, at[2] = at[2], 0
-            if slot[k] < 0:
+            if asked.slot[k] < 0:
                 continue
             surface = Surface(brdf_of(room.kind, room.values, k), room.outer[k], room.peak[k], room.lobe[k])
             if top == 0:
@@ -369,18 +390,22 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
                 top = 1
             while top > 0:
                 top -= 1
-                enough = delta[k] if at[3] < most else COARSE
-                seen = cluster_of(room, pool, p, tag[top, 2], ends.power)
-                piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0)
+                enough = asked.delta[k] if at[3] < most else COARSE
+                seen, guessed, is_inside = cluster_of(room, pool, p, tag[top, 2], ends.power), 0.0, True
+                piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, True)
                 if tag[top, 0] == BOX:
                     light = light_of_box(
                         room.tree, tag[top, 1], surface, lit, seen, room.values, room.air, room.plane
                     )
                     if light < 0.0:
                         continue
-                    if seen.gain * light > enough:
+                    legs = ends.leg + (pool.leg[seen.one] if room.device else 0.0)
+                    is_inside = box_may_arrive(room.tree, tag[top, 1], legs, room, lit, seen)
+                    # What is near is cut wherever its light arrives.
+                    if light == np.inf or (is_inside and seen.gain * light > enough):
                         top = open_box(walk, top, room, surface, lit, seen)
                         continue
+                    guessed = seen.gain * light
                 else:
                     n = get(room.tree.normal, tag[top, 1], 0)
                     piece = judged(walk, top, n, enough, ends.leg, pool.leg[seen.one], room, surface, lit, seen)
@@ -391,14 +416,21 @@ def emit(pairs, delta, slot, most, replicate, seed, room, pool, walk, expected, 
                         top = halve(walk, top, share, n, room, surface, lit, seen)
                     if piece.verdict != SAMPLE:
                         continue
+                    guessed, is_inside = seen.gain * piece.area * piece.most, piece.inside
                 if used == len(batch.row):
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
+                expected[2] += guessed if is_inside else 0.0
+                chance = min(max(guessed / (enough * math.sqrt(piece.width)), asked.least), 1.0)
+                if not _is_drawn(walk, chance):
+                    continue
                 at[3] += 1
                 for d in range(3):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
-                if _sample(walk, top, piece, replicate, room, pool, surface, ends, seen, expected, batch, used):
-                    batch.row[used] = slot[k] * len(pairs) + pair
+                if _sample(
+                    walk, top, piece, chance, replicate, room, pool, surface, ends, seen, expected, batch, used
+                ):
+                    batch.row[used] = asked.slot[k] * rows + row
                     used += 1
         at[1] = 0
     at[0] = len(pairs)

@@ -25,12 +25,11 @@ from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
-from datagen.transport.cut_elements import Room, Walk
-from datagen.transport.cut_steps import COARSE, Batch, emit, legs_of, pour_all
+from datagen.transport.cut_elements import COARSE, Room, Walk
+from datagen.transport.cut_steps import Asked, Batch, emit, legs_of, pour_all
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
-from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
 
@@ -41,7 +40,12 @@ FEW = 32
 PILOTS, STEP, CLOSE = 6, 6.0, 1.5
 """Most pilots; most that δ falls from one to the next; and by how much it must for another one."""
 FIRST = 16
-"""Most pairs of the run before it, which tells how bright the scene is."""
+"""Histograms of the run before it, which tells how bright the scene is, about; fewer are looked at several times."""
+LOOK, SECOND_LOOK = 8, 256
+"""Laser points of a flood's histogram in a look; and pairs of laser point and pixel, over all histograms, in a second
+one where the first met no light."""
+LEAST_CHANCE = 0.02
+"""Least chance of an element of a flood to get a sample."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
 SCATTER, SHARED = 0.75, 0.5
@@ -54,8 +58,6 @@ ENOUGH = 0.45
 FINEST, COARSEN = 100.0, 2.0
 """Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
 and most that it rises."""
-OUTSIDE = 1e-3
-"""What light outside the window counts for in the pilot."""
 LEAST_LIGHT = 1e-100
 """Light that is divided by at least."""
 RUNS = 2
@@ -95,7 +97,7 @@ class Run(NamedTuple):
 
     light : (K, n, T) photons by part, mean of both replicates. outside : (K, n) photons outside the window. square :
     (G, n) squared L2 norms of half their difference, by group of parts; whole : (n,) of all parts. samples :
-    number of samples.
+    number of samples. guessed : photons within the window, if nothing stood between.
     """
 
     light: Floats
@@ -103,19 +105,28 @@ class Run(NamedTuple):
     square: Floats
     whole: Floats
     samples: int
+    guessed: float
+
+
+class Beside(NamedTuple):
+    """L2 norms of the light that is known beside the primary, photons: of the whole, and of each part (K,)."""
+
+    whole: float
+    parts: Floats
 
 
 class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    most : elements of a histogram. expected : (2,) of `emit`, of all runs so far. is_limited : whether one had `most`
+    most : elements of a histogram. expected : (3,) of `emit`, of all runs so far. is_limited : whether one had `most`
     in the mean.
     """
 
-    def __init__(self, problem: Problem, target: float) -> None:
+    def __init__(self, problem: Problem, target: float, beside: Beside | None = None) -> None:
         self.problem, scene, axis = problem, problem.scene, problem.capture.time
-        tree, self.pairs = Hierarchy.of(scene), pairs_of(problem.capture)
+        self.beside = Beside(0.0, np.zeros(len(scene.part_names))) if beside is None else beside
+        tree, self.pairs = Hierarchy.of(scene), problem.pairs
         materials, caster, points = problem.materials, problem.caster, problem.points
         width = np.array([lobe_width(material) for material in scene.materials])
         peak = materials.values[:, 0] / math.pi * (1.0 + (materials.kind != LAMBERTIAN) / width**2)
@@ -123,7 +134,7 @@ class Cuts:
         air = scene.attenuation_per_m
         self.room = Room(
             tree, materials.kind, materials.values, peak, width, outer_sides(scene), points,
-            np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
+            self.pairs.share * np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
             axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
             ON_PLANE * tree.extent, SMALLEST * tree.extent,
             np.array([*caster.center, caster.half_extent_m]),
@@ -132,7 +143,7 @@ class Cuts:
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
-        self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(2)
+        self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
         self.is_limited = False
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
@@ -141,6 +152,11 @@ class Cuts:
     def knows_little(self) -> bool:
         """Whether a few of very many elements have the light."""
         return self.is_limited or bool(self.expected[1] > NEAR * self.expected[0])
+
+    @property
+    def points(self) -> int:
+        """Number of laser points of a histogram."""
+        return len(self.pairs.ends) // self.pairs.histograms
 
     def least(self, whole: float) -> float:
         """L2 norm of the light of the faintest object that has an error of its own, photons, if that of all light is
@@ -152,54 +168,69 @@ class Cuts:
         and of the whole, photons."""
         return np.asarray(self.of_objects & (norms > self.least(whole)))
 
+    def norm(self, light: Floats, more: float) -> float:
+        """L2 norm of the whole light, at least, of which the primary in 1/`more` of the histograms is `light`."""
+        return math.hypot(math.sqrt(more) * l2_norm(light), self.beside.whole)
+
+    def norms(self, light: Floats, more: float) -> Floats:
+        """(K,) the same of each part, of light (K, n, T)."""
+        return np.asarray(np.hypot(math.sqrt(more) * np.array([l2_norm(of) for of in light]), self.beside.parts))
+
     def seed(self, *numbers: int) -> int:
         """A seed of random numbers of its own."""
         return int(stream_seeds(self.problem.seed, LightStream.CUTS, *numbers)[0])
 
-    def run(self, which: Ints, delta: Floats, number: int) -> Run:
+    def run(self, which: Ints, delta: Floats, number: int, points: Ints | None = None) -> Run:
         """The light of some histograms, of elements that bring at most `delta` (G,) photons; NaN leaves a group out.
 
-        number : of the run; each draws its own random numbers.
+        number : of the run; each draws its own random numbers. points : numbers of a flood's laser points that
+        are lit; all where none are given.
         """
         K, T = len(self.problem.scene.part_names), self.problem.capture.time.bins
         light, outside, samples = np.zeros((K, len(which), T)), np.zeros((K, len(which))), 0
         square, whole = np.zeros((self.groups.max() + 1, len(which))), np.zeros(len(which))
-        active = np.flatnonzero(~np.isnan(delta[self.groups]))
-        squares = self.squares[self.pairs[which, 1]]
+        active, before = np.flatnonzero(~np.isnan(delta[self.groups])), self.expected[2]
+        slot = np.full(K, -1)
+        slot[active] = np.arange(len(active))
+        # The elements of one laser point are no more than those that a histogram needs.
+        asked = Asked(delta[self.groups], slot, max(LEAST_CHANCE, 1.0 / self.points) if points is None else 1.0)
+        pixel_of = self.pairs.ends[which, 1]
+        squares = self.squares[pixel_of]
         for count in np.unique(squares):
             every = np.flatnonzero(squares == count)
             pieces = 1 + len(every) * max(int(count) * 32, 2 * len(active) * T) // VALUES_AT_ONCE
             for some in np.array_split(every, pieces):
-                pixels, of = np.unique(self.pairs[which[some], 1], return_inverse=True)
+                pixels, of = np.unique(pixel_of[some], return_inverse=True)
                 rng = np.random.default_rng(self.seed(1, number, int(count), int(some[0])))
                 pool = FovClusters.of(self.problem, pixels, int(count), rng)
-                pairs = np.column_stack([self.pairs[which[some], 0], of])
+                own, rows = self.pairs.of_histograms(which[some]), np.arange(len(some))
+                own = own if points is None else own[:, points]
+                lasers, each = self.pairs.ends[own.ravel(), 0], own.shape[1]
+                pairs = np.column_stack([lasers, np.repeat(of, each), np.repeat(rows, each)])
                 both, over = np.zeros((2, len(active), len(some), T)), np.zeros((2, len(active), len(some)))
                 for r in range(2):
                     seed = self.seed(2, number, int(some[0]), r)
-                    samples += self._add(pairs, active, delta[self.groups], r, seed, pool, both[r], over[r])
+                    samples += self._add(pairs, asked, r, seed, pool, both[r], over[r])
                 for a, k in enumerate(active):
                     light[k, some] = 0.5 * (both[0, a] + both[1, a])
                 outside[np.ix_(active, some)] = over.mean(axis=0)
                 apart = np.subtract(both[0], both[1], out=both[0])
                 whole[some] = 0.25 * np.square(apart.sum(axis=0)).sum(axis=1)
                 for group in np.unique(self.groups[active]):
-                    own = apart[self.groups[active] == group].sum(axis=0)
-                    square[group, some] = 0.25 * np.square(own).sum(axis=1)
-        return Run(light, outside, square, whole, samples)
+                    own_light = apart[self.groups[active] == group].sum(axis=0)
+                    square[group, some] = 0.25 * np.square(own_light).sum(axis=1)
+        return Run(light, outside, square, whole, samples, 0.5 * float(self.expected[2] - before))
 
     def _add(
-        self, pairs: Ints, active: Ints, delta: Floats, replicate: int, seed: int, pool: FovClusters, light: Floats,
-        outside: Floats,
+        self, pairs: Ints, asked: Asked, replicate: int, seed: int, pool: FovClusters, light: Floats, outside: Floats
     ) -> int:  # fmt: skip
-        """Adds a replicate of the `active` parts' light of some pairs to light (A, n, T) and outside (A, n); returns
-        the number of samples."""
-        slot, samples = np.full(len(delta), -1), 0
-        slot[active] = np.arange(len(active))
-        walk, most = Walk.of(), self.most * max(len(pairs), AT_LEAST)
+        """Adds a replicate of the light of some pairs to light (A, n, T) and outside (A, n) of the A parts that are
+        asked for; returns the number of samples."""
+        rows, samples, walk = light.shape[1], 0, Walk.of(np.random.default_rng(seed).random())
+        most = self.most * max(rows, AT_LEAST)
         while walk.at[0] < len(pairs):
             used = emit(
-                pairs, delta, slot, most, replicate, seed, self.room, pool, walk, self.expected, self.batch
+                pairs, rows, asked, most, replicate, seed, self.room, pool, walk, self.expected, self.batch
             )  # fmt: skip
             visible = self.every[:used]
             samples += used
@@ -238,7 +269,7 @@ class _Found:
     """
 
     def __init__(self, cuts: Cuts, bins: int) -> None:
-        K, G, H = len(cuts.groups), cuts.groups.max() + 1, len(cuts.pairs)
+        K, G, H = len(cuts.groups), cuts.groups.max() + 1, cuts.pairs.histograms
         self.cuts, self.light, self.outside = cuts, np.zeros((K, H, bins)), np.zeros((K, H))
         self.square, self.alike = np.zeros((2, G, H))
         self.precision, self.spread, self.expected = np.zeros((3, G))
@@ -279,10 +310,10 @@ class _Found:
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
         share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
-        norms, names = np.array([l2_norm(of_part) for of_part in light]), cuts.problem.scene.part_names
+        norms, names = cuts.norms(light, 1.0), cuts.problem.scene.part_names
         errors = {
             names[k]: math.sqrt(each[cuts.groups[k]].sum()) / float(norms[k])
-            for k in np.flatnonzero(cuts.worth(norms, l2_norm(total)))
+            for k in np.flatnonzero(cuts.worth(norms, cuts.norm(total, 1.0)))
         }
         outside = (self.outside / weight[cuts.groups]).sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
@@ -292,24 +323,29 @@ class _Found:
 
 
 class _Known(NamedTuple):
-    """What a run has told: light (K, n, T), photons, of 1/`more` of all pairs, and squared errors (G,) of the groups
-    for δ = 1."""
+    """What a run has told: light (K, n, T), photons, of 1/`more` of all histograms, and squared errors (G,) of the
+    groups for δ = 1."""
 
     light: Floats
     squares: Floats
     more: float
 
 
-def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
+def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = None) -> PrimaryLight | None:
     """The primary with about the relative L2 error `target` of the whole, and that asked of each object; None if much
     of it goes between surfaces that are nearer than FoV points are to one another, of which a few have it all, or if
     it is much less than guesses say.
 
-    A pilot of some pairs tells how large errors are; all pairs are then run, and once more if that falls short.
+    A look tells how bright the scene is, and ends the search where no light falls into the window; a pilot of some
+    histograms tells how large errors are; all are then run, and once more if that falls short. beside : light that is
+    known, which counts in what is asked.
     """
-    cuts = Cuts(problem, target)
-    every = np.arange(len(cuts.pairs))
-    known, delta = _pilot(cuts, target)
+    cuts = Cuts(problem, target, beside)
+    every = np.arange(cuts.pairs.histograms)
+    seen = _looked(cuts)
+    if not seen.light.any():
+        return _dark(cuts, seen)
+    known, delta = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often.
@@ -330,20 +366,72 @@ def primary_by_cuts(problem: Problem, target: float) -> PrimaryLight | None:
         # coarser than what is known, as the error of small objects may rise steeply.
         finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
         delta = np.where(again, np.clip(finer, delta / FINEST, delta if turn else COARSEN * delta), delta)
+        asked = np.where(again, delta, np.nan)
         for _ in range(times):
-            found.add(cuts.run(every, np.where(again, delta, np.nan), 2 + found.runs), np.where(again, delta, np.nan))
+            found.add(cuts.run(every, asked, 2 + found.runs), asked)
     return found.result()
 
 
-def _pilot(cuts: Cuts, target: float) -> tuple[_Known, Floats]:
-    """What runs of a few pairs tell, and δ (G,) of the last of them, which is not much coarser than what follows: of
-    much finer elements it would tell nothing."""
-    few = np.arange(len(cuts.pairs))
-    if len(few) > FEW:
-        place = (np.arange(FEW) + np.random.default_rng(cuts.seed(3)).random(FEW)) * len(few) / FEW
-        few = place.astype(np.int64)
-    more, bins = len(cuts.pairs) / len(few), cuts.problem.capture.time.bins
-    delta = COARSER * _asked(cuts, few[:: max(len(few) // FIRST, 1)], target)
+class _Seen(NamedTuple):
+    """What a look has told: light (K, n, T), outside (K, n), square (G, n) and whole (n,) as in `Run`, of the
+    histograms `which` (n,); and `guessed` photons of all histograms within the window."""
+
+    which: Ints
+    light: Floats
+    outside: Floats
+    square: Floats
+    whole: Floats
+    guessed: float
+    samples: int
+
+
+def _looked(cuts: Cuts) -> _Seen:
+    """A look at some histograms, of few elements each; at all, if it meets no light within the window."""
+    H = cuts.pairs.histograms
+    some = _spread(cuts, H, FEW)
+    some = some[:: max(len(some) // FIRST, 1)]
+    seen = _look(cuts, some, -(-FIRST // len(some)), LOOK, 0)
+    return seen if seen.light.any() else _look(cuts, np.arange(H), 1, max(SECOND_LOOK // H, LOOK), 90)
+
+
+def _spread(cuts: Cuts, count: int, most: int, *numbers: int) -> Ints:
+    """Up to `most` of `count` things, drawn evenly."""
+    if count <= most:
+        return np.arange(count)
+    place = (np.arange(most) + np.random.default_rng(cuts.seed(3, *numbers)).random(most)) * count / most
+    return place.astype(np.int64)
+
+
+def _look(cuts: Cuts, which: Ints, times: int, most: int, number: int) -> _Seen:
+    """Some runs of few elements of each of some histograms, with up to so many of their laser points."""
+    coarse, runs = np.full(cuts.groups.max() + 1, COARSE), list[Run]()
+    for turn in range(number, number + times):
+        points = _spread(cuts, cuts.points, most, turn)
+        runs.append(cuts.run(which, coarse, turn, points))
+    # Those that are lit stand for all; and means of runs, which are independent.
+    more, n = cuts.points / min(most, cuts.points), len(runs)
+    light, outside = (more * sum(getattr(run, name) for run in runs) / n for name in ("light", "outside"))
+    square, whole = (more**2 * sum(getattr(run, name) for run in runs) / n**2 for name in ("square", "whole"))
+    guessed = more * sum(run.guessed for run in runs) / n * cuts.pairs.histograms / len(which)
+    return _Seen(which, light, outside, square, whole, guessed, sum(run.samples for run in runs))
+
+
+def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
+    """No light, where a look at all histograms met none: it errs by no more than what it would be if nothing stood
+    between."""
+    problem, T = cuts.problem, cuts.problem.capture.time.bins
+    rows = np.zeros((len(seen.light) if problem.split_parts else 1, cuts.pairs.histograms, T))
+    return PrimaryLight(
+        rows, seen.outside.sum(axis=0), np.zeros(rows.shape[1:]), seen.guessed, {}, 2.0 * seen.samples
+    )  # fmt: skip
+
+
+def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
+    """What runs of a few histograms tell, and δ (G,) of the last of them, which is not much coarser than what
+    follows: of much finer elements it would tell nothing."""
+    few = _spread(cuts, cuts.pairs.histograms, FEW)
+    more, bins = cuts.pairs.histograms / len(few), cuts.problem.capture.time.bins
+    delta = COARSER * _asked(cuts, seen, target)
     known, again = _Known(np.zeros((len(cuts.groups), len(few), bins)), np.zeros(len(delta)), more), delta > 0.0
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
@@ -358,21 +446,20 @@ def _pilot(cuts: Cuts, target: float) -> tuple[_Known, Floats]:
     return known, delta
 
 
-def _asked(cuts: Cuts, few: Ints, target: float) -> Floats:
-    """(G,) L2 error that is asked of each group in a histogram, photons, from a run of a few with few elements.
-
-    Light outside the window counts a little, so that a window without light takes no time.
-    """
-    G, accuracy = cuts.groups.max() + 1, cuts.problem.accuracy
-    run = cuts.run(few, np.full(G, COARSE), 0)
-    outside = OUTSIDE * l2_norm(run.outside.sum(axis=0))
-    whole = max(_without_noise(run.light.sum(axis=0), run.whole), outside, LEAST_LIGHT)
-    asked, of_all = np.full(G, target * whole), math.sqrt(len(cuts.pairs) / len(few))
+def _asked(cuts: Cuts, seen: _Seen, target: float) -> Floats:
+    """(G,) L2 error that is asked of each group in a histogram, photons, from a look at a few."""
+    accuracy, n = cuts.problem.accuracy, len(seen.which)
+    more = cuts.pairs.histograms / n
+    # Of all histograms.
+    primary = math.sqrt(more) * _without_noise(seen.light.sum(axis=0), seen.whole)
+    whole = max(math.hypot(primary, cuts.beside.whole), LEAST_LIGHT)
+    asked = np.full(cuts.groups.max() + 1, target * whole)
     for k in np.flatnonzero(cuts.of_objects):
         # Few elements may miss an object: what is not seen may have as much light as counts.
-        own = max(_without_noise(run.light[k], run.square[cuts.groups[k]]), cuts.least(of_all * whole) / of_all)
+        own = math.sqrt(more) * _without_noise(seen.light[k], seen.square[cuts.groups[k]])
+        own = max(math.hypot(own, cuts.beside.parts[k]), cuts.least(whole))
         asked[cuts.groups[k]] = min(target * whole, accuracy.each_part * own)
-    return asked / math.sqrt(len(few))
+    return asked / math.sqrt(cuts.pairs.histograms)
 
 
 def _without_noise(light: Floats, squares: Floats) -> float:
@@ -387,8 +474,8 @@ def _precision(cuts: Cuts, known: _Known, claimed: float, target: float) -> Floa
 
     claimed : squared errors that will be claimed, relative to those by which two replicates differ.
     """
-    squares, more = claimed * known.squares, math.sqrt(known.more)
-    norms, whole = more * np.array([l2_norm(of) for of in known.light]), more * l2_norm(known.light.sum(axis=0))
+    squares = claimed * known.squares
+    norms, whole = cuts.norms(known.light, known.more), cuts.norm(known.light.sum(axis=0), known.more)
     own = np.zeros(len(squares))
     for k in np.flatnonzero(cuts.worth(norms, whole)):
         group, asked = cuts.groups[k], cuts.problem.accuracy.each_part * norms[k]

@@ -46,8 +46,9 @@ Floats32 = NDArray[np.float32]
 class Source(Protocol):
     """Where sampled light comes from.
 
-    histograms : for each group the indices of its histograms. unit : photons that light is a multiple of. first :
-    blocks of each replicate and group in the pilot. can_blur : whether bins may be spread over boxes.
+    histograms : for each group the indices of its histograms, to which several groups may add light. unit : photons
+    that light is a multiple of. first : blocks of each replicate and group in the pilot. can_blur : whether bins may
+    be spread over boxes.
     """
 
     histograms: list[Ints]
@@ -126,9 +127,9 @@ def sample_to_target(
         found.light[name], found.variance[name] = np.zeros(shape), np.zeros(shape)
         found.outside[name] = np.zeros(shape[0])
         for unit in own:
-            found.light[name][unit.rows] = unit.mean
-            found.variance[name][unit.rows] = unit.variance
-            found.outside[name][unit.rows] = unit.outside
+            found.light[name][unit.rows] += unit.mean
+            found.variance[name][unit.rows] += unit.variance
+            found.outside[name][unit.rows] += unit.outside
         found.error[name] = math.sqrt(sum(unit.error2 for unit in own))
         found.cost[name] = sum(unit.cost for unit in own)
     return found

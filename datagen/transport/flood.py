@@ -18,16 +18,17 @@ things.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from datagen.records import Capture, Laser, Scene, Sensor, TimeAxis, Transient
+from datagen.records import Capture, Laser, Scene, Sensor, TimeAxis
 from datagen.records.arrays import Floats
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
+from datagen.transport.problem import Estimate, Problem
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import aperture_area, brdf, dots
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
@@ -38,42 +39,31 @@ RAYS = 1 << 15
 with edges errs by up to 0.7 % instead of 0.4 %."""
 
 
-def flooded(
-    transient: Transient, capture: Capture, first: tuple[Floats, Floats] | None = None, names: Sequence[str] = ()
-) -> Transient:
-    """The transient (1, P, T) of a flood, from the transient (L, P, T) of its laser points.
+class Beam(NamedTuple):
+    """Light of one bounce of a beam that states its cells: light (K, P, T) by the part that it comes from, and what
+    arrives outside the window (P,); photons at the aperture per emitted photon."""
 
-    first : light of one bounce (K, P, T) by part, and what of it arrives outside the window (P,), that the transient
-        of the laser points lacks.
-    names : of the parts, whose light of one bounce is added to `Transient.parts`, too; empty if light is not split.
+    light: Floats
+    outside: Floats
 
-    `stderr` treats the errors of the laser points as independent. They are, except for the FoV points that the laser
-    points share.
-    """
-    shares = capture.laser.shares
-    components = {name: sum_of_flood(light, capture) for name, light in transient.components.items()}
-    parts = {name: sum_of_flood(light, capture) for name, light in transient.parts.items()}
-    overflow = np.einsum("l,lp->p", shares, transient.overflow)[None]
-    if first is not None:
-        light, late = first
-        components["direct"] = (
-            components["direct"] + at_sensor(light.sum(axis=0)[None], capture) + glass_light(capture)
-        )
-        overflow = overflow + late
-        for name, own in zip(names, light, strict=False):
+
+def at_flooded_sensor(problem: Problem, found: Estimate, beam: Beam | None) -> Estimate:
+    """The light of a flood as its pixels record it (`at_sensor`), with that of one bounce of its `beam`, which
+    `found` lacks, and that of the cover glass."""
+    capture = problem.capture
+    components = {name: at_sensor(light, capture) for name, light in found.components.items()}
+    parts = {name: at_sensor(light, capture) for name, light in found.parts.items()}
+    overflow = found.overflow
+    if beam is not None:
+        components["direct"] += at_sensor(beam.light.sum(axis=0)[None], capture) + glass_light(capture)
+        overflow = overflow + beam.outside
+        for name, own in zip(problem.scene.part_names if problem.split_parts else (), beam.light, strict=False):
             parts[name] = parts.get(name, 0.0) + at_sensor(own[None], capture)
-    variance = np.einsum("l,lpt->pt", shares**2, transient.stderr**2)[None]
-    return replace(
-        transient,
-        components=components,
-        parts=parts,
-        stderr=np.sqrt(variance),
-        overflow=overflow,
-    )
+    return replace(found, components=components, parts=parts, overflow=overflow)
 
 
 def as_scan(capture: Capture) -> Capture:
-    """The scan of a flood's laser points one by one, from which `flooded` makes the flood's transient."""
+    """The scan of a flood's laser points one by one, of which `sum_of_flood` makes the flood."""
     bare = replace(capture.sensor, crosstalk=0.0, glass=None, delays_s=None)
     return replace(capture, illumination="scan", sensor=bare)
 
@@ -137,9 +127,8 @@ def beam_rays(laser: Laser, rays: int = RAYS) -> tuple[Floats, Floats]:
 
 def one_bounce_of_beam(
     scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, rays: int = RAYS
-) -> tuple[Floats, Floats]:
-    """Light of one bounce (K, P, T) of a beam that states its cells, by the part that it comes from, and what arrives
-    outside the window (P,); photons at the aperture per emitted photon.
+) -> Beam:
+    """Light of one bounce of a beam that states its cells.
 
     It is the integral of equation (1) of `reference.py` with B = 1 over the beam, with the sensitivity s of a pixel
     in the direction of the laser point x from the sensor:
@@ -170,7 +159,7 @@ def one_bounce_of_beam(
     to = (part[lit[ray]] * pixels + pixel) * axis.bins + place.astype(np.int64)
     light = np.bincount(to[inside], photons[inside], parts * pixels * axis.bins).astype(np.float64)
     late = np.bincount(pixel[~inside], photons[~inside], pixels).astype(np.float64)
-    return light.reshape(parts, pixels, axis.bins), late
+    return Beam(light.reshape(parts, pixels, axis.bins), late)
 
 
 def _sensitivities(sensor: Sensor, w: Floats) -> Floats:

@@ -9,11 +9,9 @@ import numpy as np
 from datagen.records.arrays import Floats, Ints
 from datagen.seeding import LightStream
 from datagen.transport.effort import REPLICATES, Floats32
-from datagen.transport.memory import in_calls
 from datagen.transport.path_steps import add
 from datagen.transport.paths import Tracer
 from datagen.transport.problem import Estimate, Problem, component_of
-from datagen.transport.reference import pairs_of
 from datagen.transport.sampling import stream_seeds
 
 PILOT = 1 << 13
@@ -28,13 +26,14 @@ def with_samples(problem: Problem) -> Estimate:
     assert samples is not None
     replicates = min(REPLICATES, samples)
     each = [samples // replicates + (r < samples % replicates) for r in range(replicates)]
-    pairs, rows = pairs_of(problem.capture), Rows.of_components(problem, problem.components)
-    light, overflow = np.zeros((rows.count, len(pairs), shape[2])), np.zeros(len(pairs))
-    variance = np.full((len(pairs), shape[2]), np.nan)
+    pairs, rows = problem.pairs, Rows.of_components(problem, problem.components)
+    light, overflow = np.zeros((rows.count, pairs.histograms, shape[2])), np.zeros(pairs.histograms)
+    variance = np.full((pairs.histograms, shape[2]), np.nan)
     # Replicates of unequal size count by their size.
     share = np.array(each)[:, None, None, None] / samples
-    for some in in_calls(len(pairs), rows.count * shape[2]):
-        runs = np.stack([rows.light(problem, pairs[some], n, (0, r, some.start)) for r, n in enumerate(each)])
+    for some, own in pairs.in_calls(rows.count * shape[2]):
+        count = some.stop - some.start
+        runs = np.stack([rows.light(problem, own, count, n, (0, r, some.start)) for r, n in enumerate(each)])
         light[:, some] = (share * runs[..., 1:-1]).sum(axis=0)
         overflow[some] = (share * runs[..., (0, -1)]).sum(axis=(0, 1, 3))
         if replicates > 1:
@@ -45,7 +44,7 @@ def with_samples(problem: Problem) -> Estimate:
         dict(zip(problem.parts, of_rows, strict=False)), np.sqrt(variance).reshape(shape),
         overflow.reshape(shape[:2]),
         samplers=dict.fromkeys(problem.components, "paths"),
-        rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs)),
+        rays=dict.fromkeys(problem.components, RAYS * samples * len(pairs.ends)),
     )  # fmt: skip
 
 
@@ -59,14 +58,15 @@ class PathsOf:
     first = 1
 
     def __init__(self, problem: Problem, component: str) -> None:
-        self.problem, self.pairs = problem, pairs_of(problem.capture)
-        self.rows, self.histograms = Rows.of_components(problem, (component,)), [np.arange(len(self.pairs))]
+        self.problem, self.pairs = problem, problem.pairs
+        self.rows = Rows.of_components(problem, (component,))
+        self.histograms = [np.arange(self.pairs.histograms)]
         # About what a pixel collects of light of 1 W/m² at the wall: in this unit light has room in single precision.
         self.unit = problem.capture.sensor.aperture_area_m2 * float(problem.cones.solid_angle.max())
-        self.samples = max(PILOT // max(len(self.pairs), 2), 1)
+        self.samples = max(PILOT // max(len(self.pairs.ends), 2), 1)
         # Parts have to add up to the whole.
         self.can_blur = self.rows.count == 1
-        shape = self.rows.count, len(self.pairs), problem.capture.time.bins
+        shape = self.rows.count, self.pairs.histograms, problem.capture.time.bins
         self.parts, self.blocks = None if self.can_blur else np.zeros(shape), 0
 
     def light_of_parts(self) -> dict[str, Floats]:
@@ -86,14 +86,14 @@ class PathsOf:
 
     def add(self, group: int, replicate: int, number: int, light: Floats32) -> float:
         """Add a block to the light (H, T + 2); returns its cost in shadow rays."""
-        for some in in_calls(len(self.pairs), self.rows.count * light.shape[1]):
+        for some, own in self.pairs.in_calls(self.rows.count * light.shape[1]):
             stream = 1, replicate, number, some.start
-            found = self.rows.light(self.problem, self.pairs[some], self.samples, stream)
+            found = self.rows.light(self.problem, own, some.stop - some.start, self.samples, stream)
             light[some] += found.sum(axis=0) / self.unit
             if self.parts is not None:
                 self.parts[:, some] += found[..., 1:-1]
         self.blocks += 1
-        return RAYS * self.samples * len(self.pairs)
+        return RAYS * self.samples * len(self.pairs.ends)
 
 
 @dataclass(frozen=True)
@@ -139,15 +139,17 @@ class Rows:
         """Number of rows."""
         return int(max(rows.stop for rows in self.names.values()))
 
-    def light(self, problem: Problem, pairs: Ints, samples: int, stream: tuple[int, ...]) -> Floats:
-        """(rows, n, T + 2) light of n pairs; the first and last column are what comes before and after the window.
+    def light(self, problem: Problem, some: Ints, count: int, samples: int, stream: tuple[int, ...]) -> Floats:
+        """(rows, count, T + 2) light of some pairs, by number, of which the i-th adds to histogram i mod `count`; the
+        first and last column are what comes before and after the window.
 
         stream : numbers that tell this draw from others.
         """
         seed = int(stream_seeds(problem.seed, LightStream.PATHS, *stream)[0])
         time, capture = problem.capture.time, problem.capture
-        light = np.zeros((self.count, len(pairs), time.bins + 2))
+        pairs = problem.pairs.ends[some]
+        share, light = problem.pairs.share[pairs[:, 0]], np.zeros((self.count, count, time.bins + 2))
         tracer = Tracer(problem.caster, problem.scene, problem.materials, capture, pairs, samples, seed)
         for first, order, found in tracer.paths(self.last, self.direct):
-            add(found, order, first, samples, self.of, time.start_s, time.width_s, light)
+            add(found, order, first, samples, self.of, share, time.start_s, time.width_s, light)
         return light

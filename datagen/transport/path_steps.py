@@ -595,13 +595,14 @@ def one_bounce(world, samples, x, found, rays):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def add(found, order, first, samples, row_of, start_s, width_s, light):  # type: ignore[no-untyped-def]
+def add(found, order, first, samples, row_of, share, start_s, width_s, light):  # type: ignore[no-untyped-def]
     """Add paths of `order` bounces to the histograms `light` (rows, n, T + 2), whose first and last column hold what
-    arrives before and after the time axis.
+    arrives before and after the time axis; pair i goes to column i modulo n of them.
 
     first : the number of the batch's first sample, counted over all pairs. row_of : (orders, K) row of a path of
     B bounces whose last hidden vertex lies on part k (with one or two bounces, whose last vertex does), in row_of[B −
-    1, k]; its last row stands for all higher orders, too. −1 for paths that are not wanted.
+    1, k]; its last row stands for all higher orders, too. −1 for paths that are not wanted. share : by which the
+    light of each pair counts.
     """
     bins, row = light.shape[2] - 2, row_of[min(order, len(row_of)) - 1]
     for k in range(len(found.sample)):
@@ -610,4 +611,5 @@ def add(found, order, first, samples, row_of, start_s, width_s, light):  # type:
             # A bin is the integral of the flux between its edges: each path goes whole into one.
             place = math.floor((found.path[k] / SPEED_OF_LIGHT_M_PER_S - start_s) / width_s)
             column = int(min(max(place, -1.0), bins)) + 1
-            light[to, (first + found.sample[k]) // samples, column] += found.photons[k]
+            pair = (first + found.sample[k]) // samples
+            light[to, pair % light.shape[1], column] += share[pair] * found.photons[k]

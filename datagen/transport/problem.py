@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from datagen.records import Accuracy, Capture, Scene
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
+from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import pairs_of
 
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
@@ -34,13 +38,42 @@ def components_asked(accuracy: Accuracy) -> tuple[str, ...]:
     return tuple(name for name in COMPONENTS if requested[name])
 
 
+class Pairs(NamedTuple):
+    """The pairs of laser point and pixel. Light of pair i goes to histogram i mod H: in a scan each has its own, and
+    a flood adds all laser points up.
+
+    ends : (n, 2) laser point and pixel. histograms : their number H. share : (L,) of the light that each laser point
+    stands for; 1 in a scan.
+    """
+
+    ends: Ints
+    histograms: int
+    share: Floats
+
+    @classmethod
+    def of(cls, capture: Capture) -> Pairs:
+        """The pairs of a capture."""
+        share = capture.laser.shares if capture.illumination == "flood" else np.ones(len(capture.laser.targets))
+        return cls(pairs_of(capture), math.prod(capture.shape[:2]), share)
+
+    def of_histograms(self, which: Ints) -> Ints:
+        """(m, k) numbers of all k pairs of some histograms (m,)."""
+        return np.asarray(which[:, None] + np.arange(0, len(self.ends), self.histograms))
+
+    def in_calls(self, numbers: int) -> Iterator[tuple[slice, Ints]]:
+        """Slices of the histograms, each with the numbers of all pairs, laser point by laser point, that take so many
+        numbers of memory for each histogram."""
+        for some in in_calls(self.histograms, numbers):
+            yield some, self.of_histograms(np.arange(self.histograms)[some]).T.ravel()
+
+
 @dataclass(frozen=True)
 class Problem:
     """A transient to be computed: scene, capture and accuracy, and the same as arrays for compiled loops.
 
     Attributes
     ----------
-    points : the laser points. cones : of the pixels.
+    points : the laser points. cones : of the pixels. pairs : of both.
     seed : of all random numbers.
     split_parts : whether the primary is split by part.
     """
@@ -52,6 +85,7 @@ class Problem:
     materials: MaterialTable
     cones: PixelCones
     points: LaserPoints
+    pairs: Pairs
     seed: int
     split_parts: bool
 
@@ -65,7 +99,7 @@ class Problem:
         cones = PixelCones.of(capture.sensor)
         return cls(
             scene, capture, accuracy, caster, MaterialTable.of(scene.materials), cones,
-            LaserPoints.of(caster, scene, capture.laser), seed, split_parts,
+            LaserPoints.of(caster, scene, capture.laser), Pairs.of(capture), seed, split_parts,
         )  # fmt: skip
 
     @property

@@ -20,19 +20,22 @@ from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
-from datagen.transport.brdf import MaterialTable
 from datagen.transport.coincidence import set_apart
-from datagen.transport.cuts import PrimaryLight, primary_by_cuts
+from datagen.transport.cuts import Beside, PrimaryLight, primary_by_cuts
 from datagen.transport.doubts import doubts, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
-from datagen.transport.flood import as_scan, flooded, one_bounce_of_beam
+from datagen.transport.flood import Beam, at_flooded_sensor, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.path_light import PathsOf, with_samples
 from datagen.transport.problem import Estimate, Problem, nothing
 from datagen.transport.rays import Raycaster
+from datagen.units import path_from_time
 
 MET = 1.25
 """Claimed error over target up to which a target counts as met: it is aimed at, and a claim is an estimate."""
+
+ABOUT = 0.2
+"""Error up to which direct light is looked at before the primary."""
 
 
 def simulate(
@@ -141,54 +144,66 @@ def transient_of(
 
     caster : the ray caster of the scene, if there is one already.
     """
-    if capture.illumination == "flood":
-        caster = Raycaster(scene) if caster is None else caster
-        one_by_one = transient_of(
-            scene, as_scan(capture), accuracy, seed, split_parts=split_parts, caster=caster
-        )  # fmt: skip
-        first = None
-        if capture.laser.cells is not None and accuracy.direct:
-            first = one_bounce_of_beam(scene, capture, caster, MaterialTable.of(scene.materials))
-        return flooded(one_by_one, capture, first, scene.part_names if split_parts else ())
     began = clock_time.perf_counter()
     problem = Problem.of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()
+    beam = None
+    if capture.laser.cells is not None and accuracy.direct:
+        beam = one_bounce_of_beam(scene, capture, problem.caster, problem.materials)
     if not (problem.points.part >= 0).any():
         found = nothing(problem)
     else:
-        found = with_samples(problem) if accuracy.target is None else _to_target(problem)
+        found = with_samples(problem) if accuracy.target is None else _to_target(problem, beam)
+    if capture.illumination == "flood":
+        found = at_flooded_sensor(problem, found, beam)
     seconds = {"prepare": ready - began, "trace": clock_time.perf_counter() - ready}
     return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(found))
 
 
-def _to_target(problem: Problem) -> Estimate:
+def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
     """The light of all components to a target: three bounces by cuts, four and more by blocks, direct light and what
-    these leave by plain paths."""
+    these leave by plain paths.
+
+    beam : light of one bounce that is known; the target is that of all light.
+    """
     accuracy, components = problem.accuracy, problem.components
     assert accuracy.target is not None
     others = [name for name in components if name != "primary"]
-    shape = problem.capture.shape
+    first = np.zeros((problem.pairs.histograms, problem.capture.time.bins))
+    of_parts = np.zeros(len(problem.scene.part_names))
+    if beam is not None:
+        first, of_parts = beam.light.sum(axis=0), np.array([l2_norm(of) for of in beam.light])
+    beside = Beside(l2_norm(first), of_parts)
+    if "direct" in components and "primary" in components:
+        # What is asked of the primary follows from the light of all, of which direct light may be most.
+        look = _sampled(problem, ["direct"], first, 0.0, ABOUT).found
+        known = l2_norm(look.light["direct"] + first) ** 2 - look.error["direct"] ** 2
+        beside = beside._replace(whole=max(math.sqrt(max(known, 0.0)), beside.whole))
     primary = None
     if "primary" in components:
         # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
-        primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)))
+        primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)), beside)
     if primary is None:
-        return _joined(problem, None, _sampled(problem, components, np.zeros(shape), 0.0))
-    whole = primary.light.sum(axis=0)
-    found = _sampled(problem, others, whole, primary.error)
-    norm = l2_norm(whole + sum(found.found.light.values()))
-    if is_enough(primary.error, l2_norm(whole), norm, accuracy.target):
-        return _joined(problem, primary, found)
+        return _joined(problem, first, None, _sampled(problem, components, first, 0.0))
+    own = primary.light.sum(axis=0)
+    found = _sampled(problem, others, own + first, primary.error)
+    norm = l2_norm(own + first + sum(found.found.light.values()))
+    if is_enough(primary.error, l2_norm(own), norm, accuracy.target):
+        return _joined(problem, first, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
-    rest = sum(found.found.light.values(), start=np.zeros_like(whole))
+    rest = sum(found.found.light.values(), start=np.zeros_like(own)) + first
     again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
-    return _joined(problem, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found)))
+    return _joined(
+        problem, first, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found))
+    )
 
 
-def _sampled(problem: Problem, components: Sequence[str], known: Floats, error: float) -> _Samples:
-    """Some components by samples, beside the `known` light (L, P, T), which has the L2 error `error`."""
-    bins, target = problem.capture.time.bins, problem.accuracy.target
-    known = known.reshape(-1, bins)
+def _sampled(
+    problem: Problem, components: Sequence[str], known: Floats, error: float, target: float | None = None
+) -> _Samples:
+    """Some components by samples, beside the `known` light (H, T), which has the L2 error `error`; with the target of
+    the problem where none is given."""
+    target = problem.accuracy.target if target is None else target
     blocks = Blocks(problem) if "secondary" in components or "higher" in components else None
     sources = dict[str, Source]()
     for name in components:
@@ -222,8 +237,9 @@ class _Samples(NamedTuple):
     found: Sampled
 
 
-def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
-    """One estimate from the primary by cuts, if there is one, and the sampled components."""
+def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
+    """One estimate from the primary by cuts, if there is one, and the sampled components, beside the known light
+    `first` (H, T)."""
     shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target
     assert target is not None
     light = {name: of.reshape(shape) for name, of in found.light.items()}
@@ -242,8 +258,12 @@ def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -
         by_paths = sources["primary"]
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
-    norm = l2_norm(sum(light.values(), start=np.zeros(shape)))
-    relative = error / (norm or 1.0)
+    norm = l2_norm(sum(light.values(), start=first.reshape(shape)))
+    # That none of much light was met within the window does not say how much there is.
+    is_known = (
+        not overflow.any() or _ends_before_light(problem) or (primary is not None and not sources and not error)
+    )
+    relative = error / norm if norm > 0 else 0.0 if is_known else math.nan
     if norm > 0:
         # Replicates agree in what no ray can know.
         floor = known_to(problem.scene, problem.caster, problem.points, problem.capture.time)
@@ -253,3 +273,12 @@ def _joined(problem: Problem, primary: PrimaryLight | None, samples: _Samples) -
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
         {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
     )  # fmt: skip
+
+
+def _ends_before_light(problem: Problem) -> bool:
+    """Whether the window ends before any light could come: a path is at least as long as the way from the laser to a
+    laser point and straight to the sensor."""
+    points, axis = problem.points, problem.capture.time
+    back = np.linalg.norm(points.position - problem.capture.sensor.position, axis=1)
+    shortest = np.nanmin(points.leg + back) if axis.origin == "source" else 0.0
+    return bool(shortest >= path_from_time(axis.stop_s))

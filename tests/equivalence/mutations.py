@@ -50,6 +50,7 @@ TESTS = (
     PHYSICS + "test_cuts.py",
     PHYSICS + "test_accuracy_target.py",
     PHYSICS + "test_primary_laws.py",
+    PHYSICS + "test_dark_windows.py",
     EQUIVALENCE + "test_all_ways.py",
 )
 """Files with laws of the light, those that tell most in a second first."""
@@ -108,6 +109,7 @@ SHADOWS_AND_AIR = PHYSICS + "test_blocks.py::test_shadows_and_air_are_those_of_p
 BINS = PHYSICS + "test_arrival_times.py::test_bins_of_a_triangle"
 SPREAD = PHYSICS + "test_spread.py::test_light_of_an_element_and_a_cluster"
 IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
+DARK = PHYSICS + "test_dark_windows.py::"
 FLOODS, BUILDS = "tests/capture/test_flood.py::", "tests/store/test_build.py::"
 VOLUMES, MESHES = "tests/labels/test_label_volumes.py::", "tests/scene/test_meshes.py::"
 IMAGE = "tests/evidence/test_evidence_image.py::test_pixels_of_an_object_in_view_add_up_to_its_own_detections"
@@ -291,9 +293,31 @@ MUTATIONS = (
         FLOODS + "test_a_delay_moves_the_mean_time_of_light_and_loses_none_but_at_the_ends",
     ),
     Mutation(
-        "floods: laser points count alike whatever their share", "flood.py",
-        'np.einsum("l,lpt->pt", capture.laser.shares, light)', "light.mean(axis=0)",
+        "floods: laser points count alike whatever their share", "problem.py",
+        "share = capture.laser.shares if", "share = 0.0 * capture.laser.shares + 1 / len(capture.laser.targets) if",
         FLOODS + "test_a_flood_whose_first_point_has_all_light_is_that_point_alone",
+    ),
+    Mutation(
+        "floods: an element that is drawn by chance stands for itself alone", "cut_steps.py",
+        "light / (chance * hidden.total)", "light / hidden.total", DARK + "test_a_flood_has_the_light_of_its_paths",
+    ),
+    Mutation(
+        "floods: each laser point of a block has all light", "blocks.py",
+        "problem.pairs.share * np.exp(", "np.exp(", DARK + "test_more_bounces_of_a_flood_are_those_of_its_points",
+    ),
+    Mutation(
+        "floods: direct light does not count in what is asked of the primary", "simulate.py",
+        "beside = beside._replace(whole=", "beside._replace(whole=",
+        DARK + "test_direct_light_counts_in_what_is_asked",
+    ),
+    Mutation(
+        "claims: no light met is none there", "simulate.py",
+        "0.0 if is_known else math.nan", "0.0", DARK + "test_light_that_something_hides_is_not_claimed_to_be_none",
+    ),
+    Mutation(
+        "cuts: what cannot arrive within the window is cut as what can", "cut_elements.py",
+        "return late * room.per_metre > room.start and", "return True or",
+        DARK + "test_little_light_is_found_where_it_is",
     ),
     Mutation(
         "doubts: a ray offset is never large", "doubts.py", "if caster.offset_m > COARSE * leg > 0:", "if False:",

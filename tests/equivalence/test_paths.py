@@ -141,7 +141,8 @@ def test_light_is_that_of_the_paths() -> None:
     pairs, parts, samples = pairs_of(capture), len(scene.part_names), 4096
     # Single bounces into row 0, primaries by part, all higher orders into the last row; those of two bounces nowhere.
     table = np.stack([np.zeros(parts), -np.ones(parts), 1 + np.arange(parts), np.full(parts, parts + 1)]).astype(int)
-    light = Rows({"all": slice(0, parts + 2)}, table, last=5, direct=True).light(problem, pairs, samples, (7,))
+    rows, every = Rows({"all": slice(0, parts + 2)}, table, last=5, direct=True), np.arange(len(pairs))
+    light = rows.light(problem, every, len(pairs), samples, (7,))
     paths = sample_paths(
         problem.caster, scene, problem.materials, capture, pairs, samples, max_bounces=5, direct=True,
         seed=int(stream_seeds(3, LightStream.PATHS, 7)[0]),
