@@ -30,7 +30,7 @@ from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
-from datagen.store.summaries import placed_anew_lines
+from datagen.store.summaries import missed_lines, placed_anew_lines
 
 NOISY = 0.2
 """Median relative error of a dataset's transients above which a build warns: about where the noise of the simulation
@@ -179,6 +179,8 @@ def build(
     noisy = _noise_line(config, dataset)
     if noisy:
         shown.say(noisy)
+    for line in missed_lines(dataset.parameters):
+        shown.say(f"window: {line}")
     return BuildResult(
         path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=dataset.is_whole, seconds=time.monotonic() - began, noisy=noisy,

@@ -19,7 +19,7 @@ from datagen.store.columns import Columns
 from datagen.store.environment import cores, made_with
 from datagen.store.files import json_bytes, write_atomically
 from datagen.store.info import effect_lines, heading
-from datagen.store.summaries import effects_of, evidence_lines
+from datagen.store.summaries import effects_of, evidence_lines, missed_lines
 
 
 def plan(
@@ -87,8 +87,12 @@ def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
     longest = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in stages if taken >= 0.02 * found.scene_s[1])
     yield f"  time       {_ranged(found.scene_s, duration)} of one core: {longest}"
     yield f"  disk       {_size(found.scene_bytes)}; {readable(schema_of(config).bytes_per_scene)} decoded"
-    if math.isnan(found.error[1]):
-        yield "  error      not known: with 1 replicate nothing estimates it; set transport.replicates to 2 or more"
+    for line in missed_lines(Columns(found.pilots.parameters)):
+        yield f"  window     {line}"
+    if math.isnan(found.error[1]) and config.transport.accuracy().target is not None:
+        yield "  error      not known: no light was met within the time axis"
+    elif math.isnan(found.error[1]):
+        yield "  error      not known: of a single sample nothing tells it; set transport.samples to 2 or more"
     else:
         yield f"  error      {_ranged(found.error, _percent)} of a transient (relative L2), claimed by the simulation"
     of = found.pilots.parameters[0]

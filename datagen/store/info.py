@@ -11,6 +11,7 @@ from datagen.store.description import Description
 from datagen.store.growth import growth_line
 from datagen.store.location import Location, location_of
 from datagen.store.manifest import read_manifest
+from datagen.store.summaries import missed_lines
 from datagen.store.verify import each_committed
 
 _RAYS = "transport.rays."
@@ -128,7 +129,12 @@ def _accuracy(parameters: Columns) -> list[str]:
     errors = parameters.numbers("transient.relative_error")
     if not len(errors):
         return []
-    lines = [f"relative error of the transients: median {np.median(errors):.4f}, largest {errors.max():.4f}"]
+    known = errors[np.isfinite(errors)]
+    lines = ["relative error of the transients: not known in any scene"]
+    if len(known):
+        lines = [f"relative error of the transients: median {np.median(known):.4f}, largest {known.max():.4f}"]
+        lines[0] += f", not known in {len(errors) - len(known)}" if len(known) < len(errors) else ""
+    lines += [f"  window: {line}" for line in missed_lines(parameters)]
     met = parameters.numbers("transient.target_met") != 0
     if len(met):
         lines.append(f"  target met in {met.sum()} of {len(met)} scenes (errors as estimated)")

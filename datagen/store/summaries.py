@@ -1,5 +1,6 @@
 """Sentences about many scenes that `info`, the card, `plan` and `build` share: the significance of objects (evidence)
-by kind, how often objects were placed again, and where label images lie relative to the scan."""
+by kind, light that the time axis misses, how often objects were placed again, and where label images lie relative to
+the scan."""
 
 from __future__ import annotations
 
@@ -24,6 +25,8 @@ PLACED_ANEW = "evidence.placed_anew"
 OVER_M = 0.01
 """Distance of the middles up to which label images count as lying over the scan: a third of a pixel if 64 pixels
 cover 2 m."""
+MISSED = 0.9
+"""Share of a scene's light outside of the time axis from which on its histograms miss the scene."""
 SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 """Name of the parameter that has the significance of an object's own light."""
 
@@ -67,6 +70,20 @@ def _evidence(kind: str, sigma: Floats) -> KindEvidence:
     factor = float("inf") if weak <= 0 else max((LEAST / weak) ** 2, 1.0)
     under_3, under_1 = (float((sigma < limit).mean()) for limit in (LEAST, 1.0))
     return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor)
+
+
+def missed_lines(parameters: Columns) -> list[str]:
+    """A line on the scenes whose light arrives outside of the time axis, and what to change; none if there are
+    none."""
+    share = parameters.numbers("transient.overflow")
+    missed = int((share >= MISSED).sum())
+    if not missed:
+        return []
+    return [
+        f"in {missed} of {len(share)} scenes {MISSED:.0%} of the light or more arrives outside of the time axis; "
+        "bring the device nearer (at_objects.distance_m, layout.relay_distance_m), or take more or wider bins "
+        "(capture.time)"
+    ]
 
 
 def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
