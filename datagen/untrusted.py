@@ -156,6 +156,9 @@ _TABLE = re.compile(rb"\[\s*+(?:\[[^\[\]]*+\]\s*+(?:,\s*+(?=\[)|(?=\])))++\]")
 _MOST_IN_A_LIST = 2**20
 """Most numbers of one list, which Python holds at once: more than a histogram has bins."""
 
+_MOST_OBJECTS = 2**18
+"""Most objects of a list, which take half a kilobyte each beside their numbers: more than frames of a session."""
+
 
 def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator[dict[str, NDArray[Any]]]:
     """The objects of a JSON list, which may be compressed, one after the other: those of the `wanted` keys that an
@@ -165,12 +168,15 @@ def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator
     An array has the narrowest of some dtypes that holds its numbers exactly. Beside the text and the arrays that the
     caller keeps, memory is taken for one list of numbers at a time; what is not wanted is passed over.
 
-    Raises as `read_text`, and `ValueError` for other JSON.
+    Raises as `read_text`, `TooLargeError` for more than `_MOST_OBJECTS`, and `ValueError` for other JSON.
     """
-    text = read_text(path)
+    text, count = read_text(path), 0
     at = _expected(text, len(b"\xef\xbb\xbf") if text.startswith(b"\xef\xbb\xbf") else 0, b"[", "a list of objects")
     at, more = _item_follows(text, at, b"]")
     while more:
+        count += 1
+        if count > _MOST_OBJECTS:
+            raise TooLargeError(f"{path}: has more than {_MOST_OBJECTS} frames; cut it into smaller files")
         at = _expected(text, at, b"{", "a list of objects")
         found = dict[str, NDArray[Any]]()
         at, inside = _item_follows(text, at, b"}")

@@ -27,6 +27,7 @@ from numpy.lib import format as npy
 import datagen as dg
 from datagen.cli import run
 from datagen.config.imported import ImportOptions
+from datagen.errors import InputError
 from datagen.formats.matlab import read_mat
 from datagen.formats.tal import read_tal
 from datagen.untrusted import read_npy, read_npz
@@ -274,6 +275,18 @@ def imported() -> None:
 def test_a_bomb_is_one_line(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused(BOMBS[name](tmp_path), capsys)
     assert not (tmp_path / "out").exists()
+
+
+def test_frames_are_bounded_in_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """60 MB of empty objects took 1.7 GB and a minute."""
+    monkeypatch.setattr("datagen.untrusted._MOST_OBJECTS", 3)
+    frame = '{"hists": [[1, 2]]}'
+    path = tmp_path / "a.json"
+    path.write_text(f"[{frame}, {frame}, {frame}]")
+    assert len(dg.read_frames(path)) == 3
+    path.write_text(f"[{frame}, {{}}, {frame}, {{}}, ")
+    with pytest.raises(InputError, match=r"a\.json: has more than 3 frames; cut it into smaller files"):
+        dg.read_frames(path)
 
 
 def test_a_bomb_of_predictions_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
