@@ -122,3 +122,24 @@ def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.Mon
         plan = planned(config, pilots(0.0, 0.001, longest), 1, 1)
         monkeypatch.setattr(planning, "plan_build", lambda _, plan=plan: plan)
         assert scene_limit("forecast", config) == limit
+
+
+def test_a_window_that_misses_the_room_is_said_before_and_after(
+    config: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the plan, at the end of the build and by `info`, with what to change; and no error is claimed that nobody
+    knows."""
+    text = CONFIG.replace("bin_width_ps: 800", "bin_width_ps: 20, origin: source")
+    config.write_text(text.replace("samples: 64", "target: 0.1"))
+    root = str(tmp_path / "set")
+    for command in (["plan", str(config), "--seconds", "1"], ["build", str(config), root], ["info", root]):
+        assert run(command) == 0
+        said = "".join(capsys.readouterr())
+        window = next(line for line in said.splitlines() if "outside of the time axis" in line)
+        assert window.strip().startswith("window")
+        assert "90% of the light or more" in window and "capture.time" in window and "relay_distance_m" in window
+        assert "nan" not in said.lower()
+    # With a window that the light falls into there is no such line.
+    config.write_text(CONFIG)
+    assert run(["plan", str(config), "--seconds", "1"]) == 0
+    assert "outside of the time axis" not in "".join(capsys.readouterr())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
 from datagen.records import Rectangle
-from datagen.store.info import info
+from datagen.store.columns import Columns
+from datagen.store.info import _accuracy, info
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -47,6 +49,19 @@ def test_no_warning_if_the_light_is_accurate_or_its_error_unknown(
     settings = config_from_mapping(CONFIG | {"transport": transport})
     assert dg.build(settings, tmp_path / "set", progress=False).noisy == ""
     assert "noise" not in capfd.readouterr().err
+
+
+def test_errors_that_are_not_known_are_counted_and_spoil_no_number() -> None:
+    """A scene in whose window no light was met has the claim NaN."""
+    scene = {"transient.target_met": False, "transient.overflow": 1.0}
+    for errors, words in (
+        ((0.01, math.nan, 0.03), "median 0.0200, largest 0.0300, not known in 1"),
+        ((math.nan, math.nan), "not known in any scene"),
+        ((0.01, 0.03), "median 0.0200, largest 0.0300"),
+    ):
+        lines = _accuracy(Columns([scene | {"transient.relative_error": error} for error in errors]))
+        assert lines[0] == f"relative error of the transients: {words}"
+        assert f"window: in {len(errors)} of {len(errors)} scenes 90% of the light" in lines[1]
 
 
 SMALL = {
