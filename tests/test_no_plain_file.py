@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 from damage import small_dataset, told
 
 import datagen as dg
@@ -23,6 +24,8 @@ from datagen.config import config_from_mapping
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.locks import holder_of, sign_of_life
+from datagen.report.preview import preview
+from datagen.report.style import new_figure, save_png
 from datagen.store import verify
 from datagen.store.info import info
 from datagen.untrusted import content_of, opened, read_npy, read_npz, read_records, read_text
@@ -232,3 +235,21 @@ def test_an_export_of_a_dataset_whose_card_is_a_pipe(tmp_path: Path) -> None:
     with soon(), pytest.raises((InputError, CheckError)):
         export(root, tmp_path / "hub", "hub")
     shutil.rmtree(root)
+
+
+@pytest.mark.parametrize("make", KINDS)
+def test_what_is_written_takes_the_place_of_it(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    """Pages, pictures and files of a device or room: nobody waits for a reader, and nothing goes to a device."""
+    root, ball = tmp_path / "set", dg.Part("ball", trimesh.creation.icosphere(1, 0.3), dg.Lambertian(0.6))
+    small_dataset(root)
+    for name, write in (
+        ("page.html", lambda path: preview(root, path, 0)),
+        ("picture.png", lambda path: save_png(new_figure(1, 1), path)),
+        ("room.glb", lambda path: dg.write_glb(dg.Scene.from_parts([ball]), path)),
+        ("mine.yaml", lambda path: dg.write_device(dg.device("tmf8820"), path)),
+    ):  # fmt: skip
+        path = tmp_path / name
+        make(path)
+        with soon():
+            write(path)
+        assert path.is_file() and not path.is_symlink() and path.stat().st_size, name

@@ -26,7 +26,7 @@ from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
 from datagen.records import Accuracy, Capture
 from datagen.report.style import INK, house_style, new_figure, save_png
-from datagen.store.files import check_writable
+from datagen.store.files import check_writable, write_atomically
 from datagen.transport import simulate
 from datagen.transport.problem import components_asked
 
@@ -205,7 +205,7 @@ def main(config: str, out: Path | None, scene: int, laser_points: int | None, se
     click.echo(text)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-        (out / "accuracy.md").write_text(text, encoding="utf-8")
+        write_atomically(out / "accuracy.md", text.encode())
         title = text.splitlines()[0].removeprefix("### ")
         picture(rows, f"What accuracy costs: {title}\n{machine()}", out / "accuracy.png")
         click.echo(f"{out / 'accuracy.md'}, accuracy.png beside it")

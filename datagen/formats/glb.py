@@ -20,6 +20,7 @@ from datagen.errors import InputError
 from datagen.records import Capture, Scene
 from datagen.records.checks import check_kind, check_path
 from datagen.records.materials import Material
+from datagen.store.files import write_atomically
 from datagen.store.scenes import SceneContent
 from datagen.transport.brdf import model_of
 from datagen.transport.brdf.ggx import HALF_WIDTH
@@ -69,7 +70,7 @@ def write_glb(scene: Scene, path: str | Path, capture: Capture | None = None) ->
             "sensor_points": seen_points(caster, sensor).position, "sensor_pixels": sensor.pixels,
         }  # fmt: skip
     try:
-        Path(path).write_bytes(_glb_of(scene, placed))
+        write_atomically(Path(path), _glb_of(scene, placed))
     except OSError as error:
         raise InputError(f"path = {str(path)!r}: cannot be written ({error.strerror or error})") from None
 

@@ -18,7 +18,7 @@ from datagen.records.arrays import Floats
 from datagen.report.html import head, table
 from datagen.report.style import save_png
 from datagen.store.environment import processor
-from datagen.store.files import check_writable, finite, json_bytes, read_json
+from datagen.store.files import check_writable, finite, json_bytes, read_json, write_atomically
 
 MADE_BY, PAGE, NUMBERS = "datagen reproduce", "index.html", "numbers.json"
 ROOM = Path(__file__).with_name("demonstration_room.yaml")
@@ -67,8 +67,8 @@ def reproduce(
     }  # fmt: skip
     for number, figure in figures.items():
         save_png(figure, folder / f"figure_{number}.png")
-    (folder / PAGE).write_text("\n".join(_page(runs, command, tuple(figures))), encoding="utf-8")
-    (folder / NUMBERS).write_bytes(json_bytes(_numbers(runs, command)))
+    write_atomically(folder / PAGE, "\n".join(_page(runs, command, tuple(figures))).encode())
+    write_atomically(folder / NUMBERS, json_bytes(_numbers(runs, command)))
     return folder / PAGE
 
 

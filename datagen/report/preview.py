@@ -20,7 +20,7 @@ from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.stored import why_roomless
 from datagen.report.style import house_style
 from datagen.store import Description, each_committed, read_manifest
-from datagen.store.files import check_writable
+from datagen.store.files import check_writable, write_atomically
 from datagen.store.info import info_of
 from datagen.store.record import SceneRecord, scenes_made
 
@@ -58,7 +58,7 @@ def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int
         text = "\n".join(_page(root, described, scenes))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
+        write_atomically(out, text.encode())
     except OSError as error:
         raise InputError(f"{out}: cannot be written ({error.strerror or error}); name another file") from None
     return out

@@ -22,6 +22,7 @@ from matplotlib.gridspec import GridSpec
 from datagen.errors import InputError
 from datagen.records import Scene
 from datagen.records.checks import as_given
+from datagen.store.files import replacing
 
 DPI = 110
 INK = "#222222"
@@ -144,7 +145,8 @@ def save_png(figure: Figure, path: Path) -> Path:
     """Write the figure; the file depends on the picture alone (no time, no version). Returns `path`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, format="png", metadata={"Software": None})
+        with replacing(path) as file:
+            figure.savefig(file, format="png", metadata={"Software": None})
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror or error}); name another output folder"
