@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import CheckError, InputError, TooLargeError, printable
 
-NO_PLAIN_FILE = "is no plain file (but a pipe, socket or device)"
+NO_PLAIN_FILE = "is no plain file (but a folder, pipe, socket or device)"
 """What is said of what could have no end, or make its reader wait."""
 MOST_BYTES = 2**31
 """Size of the largest file that is read, 2 GiB."""
@@ -67,10 +67,12 @@ def opened(path: Path) -> Iterator[tuple[int, io.BufferedReader]]:
             # A socket cannot be opened.
             raise OSError(errno.EINVAL, NO_PLAIN_FILE, str(path)) from None
         raise
+    # Asked before Python makes a file of it: that fails for a folder, with another error, and leaves it open.
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, NO_PLAIN_FILE, str(path))
     with open(handle, "rb") as file:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, NO_PLAIN_FILE, str(path))
         yield status.st_size, file
 
 

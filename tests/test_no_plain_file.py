@@ -182,6 +182,22 @@ def test_who_has_locked_it(tmp_path: Path, make: Callable[[Path], None]) -> None
         sign_of_life(tmp_path / "shard.running")
 
 
+def test_a_dataset_that_is_a_link_to_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "set"
+    root.symlink_to(root.name)
+    name, out = str(root), str(tmp_path / "out.npz")
+    for command in (
+        ["verify", name], ["info", name], ["digest", name], ["show", name, "0"], ["replay", name, "0"],
+        ["preview", name], ["export", name, out, "--format", "npz"], ["baseline", "mean", name, out],
+        ["score", name, out],
+    ):  # fmt: skip
+        assert run(command) == 2, command
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "no such dataset" in line or "is no dataset" in line, line
+    with pytest.raises(InputError, match="no such dataset"):
+        TransientDataset(root)
+
+
 UNGUARDED = {
     # Our own sources and pages, files that a build makes for itself, and what the system has.
     "compiled.py": 1, "report/explorer.py": 1, "building/build_from.py": 1, "building/shard_job.py": 1,

@@ -159,8 +159,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             check_number("TransientDataset", "evidence_at_least", evidence_at_least, 0.0, 1e9, sigmas)
         check_callable("transform", transform, "it gets an item and returns one")
         self.transform = transform
-        self.path = location_of(path).resolve()
+        # Read first: where a link leads to itself there is no dataset, and no path.
         manifest = read_manifest(path)
+        self.path = location_of(path).resolve()
         # Whether shards are missing, so that the records of the others stand in for the table.
         self._partial = partial and not is_complete(self.path, largest(self.path, manifest))
         self._manifest = manifest = largest(self.path, manifest) if self._partial else manifest

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from datagen.config import fingerprint_of
@@ -162,7 +163,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
                 "again to make the shard anew"
             )
             continue
-        wrong = _shard_problems(root, manifest, record, larger)
+        wrong = _readable(f"shard {shard}: ", partial(_shard_problems, root, manifest, record, larger))
         dataset.add(record.cut(manifest.schema))
         problems += wrong or _scene_problems(root, manifest, record.cut(manifest.schema), deep)
         size += sum(file.bytes for file in record.files.values())
@@ -171,7 +172,7 @@ def verify(path: str | Path, deep: bool = False) -> Verification:
         for name in _missing(there, manifest.schema.shards)
     ]
     if dataset.is_whole:
-        problems += _summary_problems(root, dataset, larger)
+        problems += _readable("", lambda: _summary_problems(root, dataset, larger))
     elif not problems:
         problems.append(f"{dataset.shards} of {manifest.schema.shards} shards are there; build again to go on")
     return Verification(dataset.scenes, dataset.shards, size, tuple(map(as_line, problems)))
@@ -187,15 +188,29 @@ def _missing(there: Sequence[int], shards: int) -> Iterator[str]:
             yield f"shards {before + 1}-{after - 1}"
 
 
+def _readable(where: str, found: Callable[[], Iterable[str]]) -> list[str]:
+    """The problems that are found, or as the one problem that a file cannot be read, such as without permission."""
+    try:
+        return [*found()]
+    except OSError as error:
+        return [
+            f"{where}{error.filename}: cannot be read ({error.strerror or error}); see that it can, or build again"
+        ]
+
+
 def _metadata_problems(root: Location, manifest: Manifest, larger: Manifest | None) -> Iterator[str]:
-    for name, sha256 in manifest.metadata.items():
-        wrong = difference(root / name, sha256)
-        if wrong is not None and (larger is None or difference(root / name, larger.metadata.get(name))):
-            yield f"{name}: {wrong}"
+    for name in manifest.metadata:
+        yield from _readable("", partial(_of_metadata, root, name, manifest, larger))
     if larger is None and (why := damaged_growth(root)) is not None:
         yield f"{why}, and grow the dataset again to make it go on"
     if fingerprint_of(manifest.config, manifest.meshes) != manifest.fingerprint:
         yield "dataset.json: its configuration is not the one its fingerprint was taken of"
+
+
+def _of_metadata(root: Location, name: str, manifest: Manifest, larger: Manifest | None) -> Iterator[str]:
+    wrong = difference(root / name, manifest.metadata[name])
+    if wrong is not None and (larger is None or difference(root / name, larger.metadata.get(name))):
+        yield f"{name}: {wrong}"
 
 
 def _shard_problems(root: Location, manifest: Manifest, record: ShardRecord, larger: Manifest | None) -> list[str]:

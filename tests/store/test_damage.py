@@ -174,6 +174,33 @@ def test_damage_is_named(dataset: Path, pristine: Path) -> None:
     assert the_problem().startswith("shard 1: not there (no commit record)")
 
 
+def test_files_that_cannot_be_read_are_named_with_all_other_problems(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One has no permission, folders stand in the places of others; none of them ends the verification."""
+    names = ("data.zarr/bin/c/0", "data.zarr/zarr.json", "README.md", "build/shard-000002.json")
+    locked, opens, handles = dataset / SHARD, os.open, len(os.listdir("/proc/self/fd"))
+
+    def refuse(path: object, *more: object) -> int:
+        if path == locked:
+            raise PermissionError(13, "Permission denied", str(path))
+        return opens(path, *more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "open", refuse)
+    for name in names[:3]:
+        (dataset / name).unlink()
+        (dataset / name).mkdir()
+    problems = verify(dataset).problems
+    assert [line.partition(": ")[0] for line in problems] == [*names[:2], "shard 1", "README.md"]
+    assert f"{locked}: cannot be read (Permission denied)" in problems[2]
+    (dataset / names[3]).unlink()
+    (dataset / names[3]).mkdir()
+    assert any(
+        line.startswith(f"{dataset / names[3]}: missing, or not a plain file") for line in verify(dataset).problems
+    )
+    assert len(os.listdir("/proc/self/fd")) == handles
+
+
 def test_exchanged_shards_are_found_by_the_hash_of_a_file(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is decoded for it. Checksums of chunks cannot tell: those of other values are as sound, and the CRC-32C
     of a file whose pieces end in their CRC-32C depends on their lengths alone."""
