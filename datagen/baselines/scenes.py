@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from torch.utils.data import DataLoader
 
 from datagen.errors import InputError
 from datagen.labels.boxes import objects_seen
@@ -52,7 +53,8 @@ def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
             f"{root}: has no {', '.join(missing)}; store.fields must have depth, part_id, occupancy, objects"
         )
     data = TransientDataset(root, ("histogram", *FIELDS), split=split)
-    batch = {name: values.numpy() for name, values in collate(data.__getitems__(range(len(data)))).items()}
+    (whole,) = DataLoader(data, len(data), collate_fn=collate)
+    batch = {name: values.numpy() for name, values in whole.items()}
     mask = objects_seen(batch["part_id"], batch["object_part"]) >= 0
     centers = np.where((batch["object_part"] >= 0)[..., None], batch["object_box_center"].astype(np.float64), np.nan)
     view = np.linalg.norm(batch["hidden_view"][:, 1:].astype(np.float64), axis=-1)

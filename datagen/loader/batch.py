@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import FrameType, MethodType
 from typing import Any
 
 import numpy as np
 import torch
-from torch.utils.data import default_collate
+from torch.utils.data import Subset, default_collate
 
 from datagen.errors import InputError
 from datagen.records.checks import check_kind
@@ -17,57 +20,47 @@ JOINED = ("events", "counts")
 """Fields whose number of rows differs from sample to sample."""
 
 
-class Batch(list[Item]):
-    """The items of a batch, which are read when anybody looks at the list; then it is a list like any other.
+@dataclass(frozen=True)
+class Whole:
+    """A batch that was read at once, on its way from a dataset to `collate`."""
 
-    `collate` reads the batch at once if nobody has looked, into memory of the whole batch, with several threads. In a
-    process without workers this makes an epoch 1.9 times as fast as joining items that were read one by one; items
-    that somebody may have changed are joined as they are.
+    batch: Item
 
-    items : reads the items. whole : reads the batch that the unchanged items would give, anew at each call.
+
+def goes_to_collate(caller: FrameType | None) -> bool:
+    """Whether a loader of torch's hands what its dataset returns to `collate`, and to nobody else.
+
+    In a process without workers an epoch takes half the time if a batch is read at once, into memory of the whole
+    batch, with several threads. Nobody must notice, so only torch's own code may stand between.
+
+    caller : the frame that called `__getitems__` of the dataset.
+    """
+    of_parts = getattr(getattr(Subset, "__getitems__", None), "__code__", None)
+    while caller is not None and caller.f_code is of_parts:
+        caller = caller.f_back
+    if caller is None or caller.f_globals.get("__name__") != "torch.utils.data._utils.fetch":
+        return False
+    return getattr(caller.f_locals.get("self"), "collate_fn", None) is collate
+
+
+class NotHandedOn:
+    """A method that a wrapper's `__getattr__` does not find.
+
+    torch's loader asks a dataset for `__getitems__`, and would get that of the dataset inside, although the wrapper
+    changes items in its own `__getitem__`.
     """
 
-    def __init__(self, items: Callable[[], list[Item]], whole: Callable[[], Item]) -> None:
-        super().__init__()
-        self._items: Callable[[], list[Item]] | None = items
-        self._whole = whole
+    def __init__(self, method: Callable[..., list[Item]]) -> None:
+        self.method = method
 
-    def read_at_once(self) -> Item | None:
-        """The batch of the items, if nobody has looked at them."""
-        return None if self._items is None else self._whole()
-
-    def _read(self) -> None:
-        if self._items is not None:
-            items, self._items = self._items, None
-            list.extend(self, items())
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """A copy is a plain list of the items."""
-        return list, (list(self),)
-
-    def __radd__(self, other: list[Item]) -> list[Item]:
-        """Python takes the items of the right list without a look, unless this list adds itself."""
-        return other + list(self)
-
-
-def _looks(name: str) -> Any:
-    method = getattr(list, name)
-
-    def looked(self: Batch, *arguments: Any, **options: Any) -> Any:
-        self._read()
-        return method(self, *arguments, **options)
-
-    return looked
-
-
-_LOOKS = (
-    "__add__ __contains__ __delitem__ __eq__ __ge__ __getitem__ __gt__ __iadd__ __imul__ __iter__ __le__ __len__ "
-    "__lt__ __mul__ __ne__ __repr__ __reversed__ __rmul__ __setitem__ append clear copy count extend index insert "
-    "pop remove reverse sort"
-)
-"""Methods of a list that look at its items."""
-for _name in _LOOKS.split(" "):
-    setattr(Batch, _name, _looks(_name))
+    def __get__(self, data: object, owner: type | None = None) -> Callable[..., list[Item]]:
+        if data is None:
+            return self.method
+        asks = sys._getframe(1)
+        is_wrapper = asks.f_code.co_name in ("__getattr__", "__getattribute__")
+        if is_wrapper and asks.f_locals.get(asks.f_code.co_varnames[0]) is not data:
+            raise AttributeError("__getitems__ is not handed on, since a wrapper may change items")
+        return MethodType(self.method, data)
 
 
 def collate(items: Sequence[Item]) -> Item:
@@ -79,11 +72,14 @@ def collate(items: Sequence[Item]) -> Item:
     ------
     InputError : no list of dictionaries; items with different keys.
     """
-    if isinstance(items, Batch) and (whole := items.read_at_once()) is not None:
-        return whole
+    if isinstance(items, Whole):
+        return items.batch
     check_kind("items", items, list, tuple, remedy="the items of a batch")
     if not len(items) or not all(isinstance(item, Mapping) for item in items):
-        raise InputError("items: a list of a dataset's items is needed, one at least")
+        raise InputError(
+            "items: a list of a dataset's items is needed, one at least; a loader joins others, such as tuples, "
+            "without collate_fn"
+        )
     for number, item in enumerate(items):
         if item.keys() != items[0].keys():
             other = sorted(map(str, item.keys() ^ items[0].keys()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from torch.utils.data import Dataset, get_worker_info
 
 from datagen.errors import CheckError, InputError, shown
-from datagen.loader.batch import JOINED, Batch, Item
+from datagen.loader.batch import JOINED, Item, NotHandedOn, Whole, goes_to_collate
 from datagen.loader.crops import Crops
 from datagen.loader.draw_counter import DrawCounter, check_epoch, shared
 from datagen.loader.events import events_of
@@ -235,20 +236,20 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         )
         return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
 
+    @NotHandedOn
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:
         """Several items; a `DataLoader` calls this for a batch. They are those that `data[item]` gives one by one."""
-        # What a subclass or a transform makes of an item happens to each item. A worker sends items from a thread
-        # that may not fail, so that they are read before.
-        if not self.gives_stored_items or get_worker_info() is not None:
-            # A class with ways of its own to read one and several gets from here what it changes in either.
-            plain = _defines(self, "__getitem__") is _defines(self, "__getitems__") is not TransientDataset
-            return [_OWN_ITEM(self, item) if plain else self[item] for item in items]
-        scenes = [self._scene_of(item) for item in items]
-        draws = self._draws_of(scenes)
-        return Batch(
-            lambda: [self._item(scene, draw) for scene, draw in zip(scenes, draws, strict=True)],
-            lambda: self._whole(scenes, draws),
-        )
+        # In a worker torch joins items in the memory in which they are sent, so that nothing is gained there.
+        if self.gives_stored_items and get_worker_info() is None and goes_to_collate(sys._getframe(1)):
+            scenes = [self._scene_of(item) for item in items]
+            return cast(list[Item], Whole(self._whole(scenes, self._draws_of(scenes))))
+        # What a subclass or a transform makes of an item happens to each item. But a class that has ways of its own
+        # to read one and several gets here what it changes in either.
+        classes: list[Any] = [*type(self).__mro__]
+        several = [one for one in classes[: classes.index(TransientDataset)] if "__getitems__" in vars(one)]
+        if several and "__getitem__" in vars(several[-1]):
+            return [super(several[-1], self).__getitem__(item) for item in items]
+        return [self[item] for item in items]
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without the reader: each process makes its own."""
@@ -316,7 +317,12 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     @property
     def gives_stored_items(self) -> bool:
         """Whether items are as they were stored or drawn; False if a subclass or a transform may change them."""
-        return type(self).__getitem__ is _OWN_ITEM and self.transform is None
+        return self.reads_its_items and self.transform is None
+
+    @property
+    def reads_its_items(self) -> bool:
+        """Whether an item is one read of the scene of its number; False if a subclass may read others."""
+        return type(self).__getitem__ is _OWN_ITEM
 
     def layout(self) -> dict[str, str]:
         """What datasets have in common that can be joined: fields of an item; shape, type, unit and bins of each."""
@@ -443,8 +449,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         except TypeError:
             several = "; `torch.utils.data.Subset` has several" if isinstance(item, slice | list | tuple) else ""
             raise InputError(f"item {shown(item)}: must be a whole number{several}") from None
-        if not -len(self) <= number < len(self):
-            raise IndexError(f"item {shown(number)}: this dataset has {len(self)} items")
+        # A subclass may have another length, and choose items by itself.
+        if not -len(self.scenes) <= number < len(self.scenes):
+            raise IndexError(f"item {shown(number)}: this dataset has {len(self.scenes)} items")
         return int(self.scenes[number])
 
     def _draws_of(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
@@ -525,8 +532,3 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
 _OWN_ITEM = TransientDataset.__getitem__
 """How items are read, unless a subclass or a user has put something in its place."""
-
-
-def _defines(data: object, method: str) -> type:
-    """The class that defines a method of an object."""
-    return next(one for one in type(data).__mro__ if method in vars(one))

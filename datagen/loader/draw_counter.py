@@ -20,9 +20,9 @@ from datagen.records.arrays import Ints
 NUMBER, READS, KIND, BEGIN, FIXES = range(5)
 """Rows of the state: number of the draw that reads count from; reads since then; what `NUMBER` is, one of the kinds
 below; `READS` when it was fixed last; how often it was fixed."""
-COUNTED, FROM, EPOCH = range(3)
+COUNTED, FROM, EPOCH, BESIDES = range(4)
 """Kinds of scenes: never fixed; fixed by `fix`, whose reads are draws `NUMBER`, `NUMBER` + 1 …; fixed by
-`begin_epoch`, whose reads are repeats of the epoch `NUMBER`."""
+`begin_epoch`, whose reads are repeats of the epoch `NUMBER`, because the epoch has them, or besides."""
 REPEATS = 2**31
 """Streams from here on belong to scenes that come several times in an epoch; no rank is as large."""
 
@@ -66,6 +66,12 @@ class DrawCounter:
         self._loaded[0] = 0
         self._fix(scenes, epoch, repeats, EPOCH)
 
+    def begin_besides(self, epoch: int, scenes: Ints, repeat: int) -> None:
+        """Make the next read of each of these scenes that repeat of `epoch`, unless somebody else has fixed it. The
+        epoch does not have these scenes, but a class of a user's may read them for its items."""
+        free = np.isin(self._rows()[KIND, scenes], (COUNTED, BESIDES))
+        self._fix(scenes[free], epoch, np.full(int(free.sum()), repeat), BESIDES)
+
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
         """(number, stream) of the next draw of each scene of a batch; later reads get other ones."""
         rows, wanted = self._rows(), np.array(scenes, np.int64)
@@ -74,7 +80,7 @@ class DrawCounter:
         reads, rank = _taken(rows[READS], wanted).tolist(), self.rank
         found = []
         for read, number, kind in zip(reads, rows[NUMBER][wanted].tolist(), rows[KIND][wanted].tolist(), strict=True):
-            if kind == EPOCH:
+            if kind in (EPOCH, BESIDES):
                 found.append((number, REPEATS + read if read else 0))
             else:
                 # Streams 1 and 2 belong to the order of epochs and to splits.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,8 @@ from datagen.loader.dataset import TransientDataset
 from datagen.loader.draw_counter import DrawCounter
 from datagen.records.arrays import Ints
 
+NONE: Ints = np.zeros(0, np.int64)
+
 
 @dataclass(frozen=True)
 class Found:
@@ -22,6 +24,7 @@ class Found:
     positions : (n,) places of these items among those given. scenes : (n,) the scene that each reads.
     hidden : scenes that a dataset of a user's, which has another length, reads in a way of its own; else None.
     is_once : whether each item is one read; a class of a user's may read a scene several times for an item.
+    others : scenes that a class of a user's may read besides, such as those that it mixes into an item.
     """
 
     draws: DrawCounter
@@ -29,6 +32,7 @@ class Found:
     scenes: Ints
     hidden: Ints | None = None
     is_once: bool = True
+    others: Ints = field(default_factory=lambda: NONE)
 
 
 def datasets_of(data: object, items: Ints) -> list[Found]:
@@ -42,7 +46,9 @@ def datasets_of(data: object, items: Ints) -> list[Found]:
         positions = np.concatenate([one.positions for one in several])
         scenes = np.concatenate([one.scenes for one in several])
         unknown = np.unique(np.concatenate(hidden)) if hidden else None
-        merged.append(Found(several[0].draws, positions, scenes, unknown, all(one.is_once for one in several)))
+        others = np.unique(np.concatenate([one.others for one in several]))
+        is_once = all(one.is_once for one in several)
+        merged.append(Found(several[0].draws, positions, scenes, unknown, is_once, others))
     return merged
 
 
@@ -52,8 +58,12 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
     within = (*within, id(data))
     if isinstance(data, TransientDataset):
         if data._draws is not None:
-            is_once = type(data).__getitem__ is TransientDataset.__getitem__
-            yield Found(data._draws, positions, data.scenes[items], is_once=is_once)
+            if data.reads_its_items:
+                yield Found(data._draws, positions, data.scenes[items])
+            elif _size(data) == len(data.scenes):
+                yield Found(data._draws, positions, data.scenes[items], is_once=False, others=data.scenes)
+            else:
+                yield Found(data._draws, NONE, NONE, np.unique(data.scenes))
     elif isinstance(data, Subset):
         yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):
@@ -64,13 +74,16 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
             yield from _found(dataset, positions[here], items[here] - begin, within)
     else:
         for dataset in _parts_of(data):
+            every = np.arange(_size(dataset))
+            whole = [*_found(dataset, every, every, within)]
             if _size(dataset) == _size(data):
                 # A dataset of the same length reads the same items, as wrappers do that change what is read.
-                for one in _found(dataset, positions, items, within):
-                    yield replace(one, is_once=False)
+                for one, of_all in zip(_found(dataset, positions, items, within), whole, strict=True):
+                    yield replace(one, is_once=False, others=np.union1d(of_all.scenes, of_all.others))
             else:
-                for one in _found(dataset, np.arange(_size(dataset)), np.arange(_size(dataset)), within):
-                    yield Found(one.draws, positions[:0], one.scenes[:0], np.unique(one.scenes))
+                for one in whole:
+                    known = NONE if one.hidden is None else one.hidden
+                    yield Found(one.draws, NONE, NONE, np.unique(np.concatenate([one.scenes, one.others, known])))
 
 
 def _parts_of(data: object) -> Iterator[Any]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from torch.utils.data import Sampler
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.loader.joined import Found, check_joined, datasets_of
 from datagen.records.checks import check_flag, check_integer, check_kind, check_seed
 from datagen.seeding import Purpose, generator
@@ -70,23 +70,55 @@ class EpochSampler(Sampler[int]):
         self._epoch, self._done, self._is_told, self._running = int(epoch), int(done), True, None
 
     def state_dict(self, done: int | None = None) -> dict[str, int]:
-        """Where the order stands: `epoch`, and `done`, the number of its items that this process was handed.
+        """Where the order stands: `epoch`, and `done`, the number of its items that this process was handed; and what
+        the order is made from.
 
         done : the number of items that were used, if a loader has fetched ahead.
         """
         epoch, handed = (self._epoch, self._done) if self._running is None else self._running.place
         if done is not None:
             check_integer("EpochSampler", "done", done, 0, len(self))
-        return {"epoch": epoch, "done": handed if done is None else int(done)}
+        return self._state(epoch, handed if done is None else int(done))
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Make the next iteration go on from a state that `state_dict` returned, here or in another run."""
+        """Make the next iteration go on from a state that `state_dict` returned, here or in another run.
+
+        Raises `InputError` for the state of another order, in the middle of an epoch.
+        """
         check_kind("load_state_dict", state, Mapping, remedy="what state_dict of an EpochSampler returned")
         if not {"epoch", "done"} <= state.keys():
             raise InputError(
                 "load_state_dict: has no epoch and done; give it what state_dict of an EpochSampler returned"
             )
-        self.set_epoch(state["epoch"], state["done"])
+        self.set_epoch(state["epoch"], self._done_of(state) if state["done"] else state["done"])
+
+    def _done_of(self, state: Mapping[str, Any]) -> int:
+        """The number of items of this process that are done in the epoch of a state."""
+        here = self._state(0, 0)
+        given: dict[str, Any] = {**here, **state}
+        for name in ("done", "items", "ranks"):
+            check_integer("load_state_dict", name, given[name], 0 if name == "done" else 1, 2**62)
+        # All processes have been handed as many items, which were dealt out in turn.
+        done = int(given["done"]) * int(given["ranks"])
+        if given.keys() <= state.keys() and done >= given["items"]:
+            return len(self)
+        for name in ("items", "seed", "shuffle"):
+            if given[name] != here[name]:
+                raise InputError(
+                    f"load_state_dict: the state is of an order with {name} = {shown(given[name])}, in which "
+                    f"{given['done']} items are done, this one has {here[name]}, and scenes would come twice or "
+                    "never; give it the same, or begin the next epoch with set_epoch"
+                )
+        if done % self._ranks:
+            raise InputError(
+                f"load_state_dict: {done} items are done in {given['ranks']} processes, which {self._ranks} cannot "
+                "share evenly; take as many as before, or begin the next epoch with set_epoch"
+            )
+        return done // self._ranks
+
+    def _state(self, epoch: int, done: int) -> dict[str, int]:
+        order = {"items": len(self._data), "seed": int(self._seed), "shuffle": self._shuffle, "ranks": self._ranks}
+        return {"epoch": epoch, "done": done, **order}
 
     def __len__(self) -> int:
         return -(-len(self._data) // self._ranks)
@@ -138,6 +170,9 @@ class EpochSampler(Sampler[int]):
             repeats += np.where(times > 1, rank * times, 0)
         own = np.unique(scenes[of_rank == self._rank])
         draws.begin_epoch(epoch, own, repeats[own])
+        is_alone = self._ranks == 1 and not rank
+        apart = 0 if is_alone else (self._ranks + rank) * UNKNOWN
+        draws.begin_besides(epoch, np.setdiff1d(found.others, own), apart + done)
 
 
 class _Epoch(Iterator[int]):
@@ -164,9 +199,9 @@ class _Epoch(Iterator[int]):
         return self._items[done]
 
     def state_dict(self) -> dict[str, int]:
-        """`epoch` and `done`, the number of items handed out."""
+        """That of the sampler after the items that this iteration handed out."""
         epoch, done = self.place
-        return self._sampler.state_dict() if self._items is None else {"epoch": epoch, "done": done}
+        return self._sampler.state_dict() if self._items is None else self._sampler._state(epoch, done)
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go on from a state."""

@@ -314,6 +314,38 @@ class TwoViews(Augmented):
         return {"scene": torch.tensor([item, item]), "histogram": torch.stack(pair)}
 
 
+class Mixing(Augmented):
+    """A scene with the one after it, as mixup makes of two."""
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        pair = [self.data[number % len(self)] for number in (item, item + 1)]
+        return {name: torch.stack([one[name] for one in pair]) for name in pair[0]}
+
+
+class Thrice(TransientDataset):
+    """More items than scenes."""
+
+    def __len__(self) -> int:
+        return 3 * len(self.scenes)
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        return super().__getitem__(item % len(self.scenes))
+
+
+class Chosen(TransientDataset):
+    """Fewer items than scenes, which it chooses by itself."""
+
+    def __len__(self) -> int:
+        return 4
+
+    def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
+        return super().__getitem__([1, 11, 3, 10][item])
+
+
+def of_class(kind: type[TransientDataset]) -> Callable[[TransientDataset], TransientDataset]:
+    return lambda data: kind(data.path, ("histogram",), redraw_noise=True)
+
+
 REPEATED: dict[str, tuple[Callable[[TransientDataset], Any], int]] = {
     "joined with itself": (lambda data: ConcatDataset([data] * 4), 48),
     "several times in a part": (lambda data: Subset(data, [3, 3, 5, 3, -1, 11]), 6),
@@ -323,6 +355,10 @@ REPEATED: dict[str, tuple[Callable[[TransientDataset], Any], int]] = {
     ),
     "a wrapper": (Often, 36),
     "two views": (TwoViews, 24),
+    "mixed": (Mixing, 24),
+    "a part of mixed": (lambda data: Subset(Mixing(data), range(0, 12, 2)), 12),
+    "a subclass of more items": (of_class(Thrice), 36),
+    "a subclass of fewer items": (of_class(Chosen), 4),
     "a shallow copy beside it": (lambda data: ConcatDataset([data, copy.copy(data)]), 24),
 }
 """A dataset that reads scenes several times in an epoch, and how many reads that are."""

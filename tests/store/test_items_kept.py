@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import functools
 import io
-import itertools
 import multiprocessing
 import pickle
 from collections.abc import Callable
@@ -21,7 +19,7 @@ from torch.utils.data import ConcatDataset, DataLoader, Dataset, Subset, default
 
 import datagen as dg
 from datagen.errors import InputError
-from datagen.loader.batch import _LOOKS, Batch
+from datagen.loader.batch import Whole
 
 Item = dict[str, Any]
 
@@ -78,12 +76,58 @@ class Forwarding(Wrapper):
         return [doubled(item) for item in self.data.__getitems__(items)]
 
 
+class HandingOn:
+    """Whatever it lacks is that of the dataset inside."""
+
+    def __init__(self, data: Any) -> None:
+        self.data = data
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.data, name)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    def __getitem__(self, item: int) -> Any:
+        return doubled(self.data[item])
+
+
+class SeveralOfOne(dg.TransientDataset):
+    def __getitem__(self, item: int) -> Any:
+        found = super().__getitem__(item)
+        return found | {"histogram": found["histogram"] / 2}
+
+
+class SeveralOfSeveral(SeveralOfOne):
+    """Two ways of its own, above a class that has one."""
+
+    def __getitems__(self, items: Any) -> Any:
+        return [doubled(doubled(item)) for item in super().__getitems__(items)]
+
+    def __getitem__(self, item: int) -> Any:
+        return self.__getitems__([item])[0]
+
+
+class Other(dg.TransientDataset):
+    """Other items than there are scenes, in an order of its own."""
+
+    def __len__(self) -> int:
+        return 30
+
+    def __getitem__(self, item: int) -> Any:
+        return doubled(super().__getitem__(11 - item % 12))
+
+
 def with_transform(path: Path) -> Any:
     return dg.TransientDataset(path, transform=doubled)
 
 
 WAYS: dict[str, Callable[[Path], Any]] = {
     "a subclass": Overridden, "a mixin": Mixed, "its own __getitems__": Several, "transform": with_transform,
+    "a wrapper that hands on": lambda path: HandingOn(dg.TransientDataset(path)),
+    "a part of a wrapper that hands on": lambda path: Subset(HandingOn(dg.TransientDataset(path)), range(12)),
+    "two ways above one": SeveralOfSeveral,
+    "other items": lambda path: Subset(Other(path), range(23, 11, -1)),
     "a wrapper": lambda path: Wrapper(dg.TransientDataset(path)),
     "a wrapper of several": lambda path: Forwarding(dg.TransientDataset(path)),
     "a part of a subclass": lambda path: Subset(Overridden(path), range(12)),
@@ -152,11 +196,13 @@ CHANGES: dict[str, Callable[[list[Item]], list[Item]]] = {
     "a tuple": lambda items: tuple(items),  # type: ignore[dict-item, return-value]
     "a copy": copy.deepcopy, "sent": lambda items: pickle.loads(pickle.dumps(items)),
     "popped": lambda items: [items.pop()],
+    "a tree": lambda items: torch.utils._pytree.tree_map(lambda values: values[None], items),
+    "the same kind": lambda items: type(items)(doubled(item) for item in items),
     "whole first": lambda items: (dg.collate(items)["histogram"].zero_(), items)[1],
 }  # fmt: skip
 
 
-OF_HISTOGRAMS = {"in place", "replaced", "whole first"}
+OF_HISTOGRAMS = {"in place", "replaced", "a tree", "the same kind", "whole first"}
 """Changes that items as events cannot have."""
 
 
@@ -176,36 +222,40 @@ def test_a_batch_is_that_of_the_items_given(dataset: Path, change: str, workers:
         assert same and type(found[name]) is type(values), name
 
 
-def test_a_batch_that_nobody_looked_at_is_that_of_its_items(dataset: Path) -> None:
-    """In all representations; and each collated batch has memory of its own."""
+def test_a_batch_that_nobody_can_look_at_is_that_of_its_items(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In all representations; and it is read at once."""
+    order = [7, 3, 7]
     options: list[dict[str, Any]] = [
         {}, {"counts": "stored"}, {"representation": "events"}, {"redraw_noise": True},
         {"representation": "events", "redraw_noise": True, "counts": "int64"}, {"lasers": [2, 0]},
     ]  # fmt: skip
+    read, at_once = dg.TransientDataset._whole, list[int]()
+
+    def counted(data: dg.TransientDataset, scenes: Any, draws: Any) -> Any:
+        at_once.append(len(scenes))
+        return read(data, scenes, draws)
+
+    monkeypatch.setattr(dg.TransientDataset, "_whole", counted)
     for option in options:
-        unseen, seen = (dg.TransientDataset(dataset, **option).__getitems__([7, 3, 7]) for _ in range(2))
-        whole, again, joined = dg.collate(unseen), dg.collate(unseen), dg.collate(list(seen))
+        data, parts, other = (dg.TransientDataset(dataset, **option) for _ in range(3))
+        (whole,) = DataLoader(data, 3, sampler=order, collate_fn=dg.collate)
+        (part,) = DataLoader(Subset(Subset(parts, range(12)), order), 3, collate_fn=dg.collate)
+        assert at_once == [3, 3]
+        joined = dg.collate(other.__getitems__(order))
+        assert at_once == [3, 3, 1, 1, 1]
+        at_once.clear()
         for name, values in joined.items():
             assert torch.equal(whole[name], values) and whole[name].dtype == values.dtype, (option, name)
-            assert torch.equal(again[name], values)
-        whole["depth"].fill_(-1)
-        assert torch.equal(again["depth"], joined["depth"]) and torch.equal(unseen[0]["depth"], joined["depth"][0])
+            assert torch.equal(part[name], values)
 
 
-def test_nothing_in_a_list_is_passed_by_without_a_look() -> None:
-    """Whatever a list can do, it does as a list of the items."""
-    items = [{"scene": torch.tensor(n)} for n in range(3)]
-    known = {*_LOOKS.split(), "__radd__", "__reduce_ex__", "__init__"}
-    about_the_class = {*dir(object), "__class_getitem__", "__sizeof__"} - known
-    assert {name for name in dir(list) if name not in known | about_the_class} == set()
-    for look in (
-        len, list, bool, tuple, lambda b: b[0], lambda b: b[:2], lambda b: [*b], lambda b: items + b,
-        lambda b: b + items, lambda b: b * 2, lambda b: [*reversed(b)], lambda b: b.copy(), copy.copy,
-        lambda b: b == items, repr,
-        lambda b: [*zip(b, b, strict=True)], lambda b: [1, *b], lambda b: functools.reduce(lambda x, y: [x, y], b),
-        lambda b: list(itertools.chain([b[0]], b)), lambda b: b.index(items[1]),
-    ):  # fmt: skip
-        assert look(Batch(lambda: list(items), dict)) == look(list(items))  # type: ignore[operator]
+@pytest.mark.parametrize("workers", [0, 1])
+def test_whoever_looks_gets_a_list(dataset: Path, workers: int) -> None:
+    """In a collate function, in a training loop, and by a call."""
+    data = dg.TransientDataset(dataset)
+    kinds = [type(items) for items in read_by(data, workers, lambda items: items)]
+    assert {*kinds, type(data.__getitems__([1, 2]))} == {list}
+    assert not isinstance(data.__getitems__([1]), Whole)
 
 
 @pytest.mark.parametrize(
