@@ -44,13 +44,14 @@ def zones_listed(source: str, order: str | Sequence[int], zones: Zones, count: i
     """(count,) the device's number of each zone, in the order in which a file lists them. Raises as
     `in_device_order`, with the name of the `source`."""
     if not isinstance(order, str):
-        numbers = np.asarray(order, np.int64)
-        if not np.array_equal(np.sort(numbers), np.arange(count)):
+        # Compared as they are: as numbers of 64 bits fractions would be cut, and larger ones cannot be held.
+        listed = tuple(order) if isinstance(order, Sequence | np.ndarray) else ()
+        if len(listed) != count or any(number not in listed for number in range(count)):
             raise InputError(
-                f"{source}: zone_order lists {shown(tuple(order))}; give each of the device's zones 0 … {count - 1} "
+                f"{source}: zone_order lists {shown(order)}; give each of the device's zones 0 … {count - 1} "
                 f"once, or a text such as {ORDERS[0]!r}"
             )
-        return numbers
+        return np.array(listed, np.int64)
     if order not in ORDERS:
         there = (
             "there are rows or columns from top or bottom left or right, as the sensor sees the scene, and the same "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -159,7 +160,7 @@ def test_an_order_that_a_file_states_is_that_of_its_zones(form: str, tmp_path: P
     [
         ("by chance", "rows or columns from top or bottom"), ("rows from top letf", "did you mean"),
         (list(range(15)), "0 … 15"), ([0] * 16, "0 … 15"), (0.5, "zone_order must be"),
-        ([0.5] * 16, "zone_order must be"),
+        ([0.5] * 16, "zone_order must be"), ([1e300, *range(1, 16)], "0 … 15"), ([-1, *range(15)], "0 … 15"),
     ],
 )  # fmt: skip
 def test_an_order_that_is_none_is_refused_in_a_line(order: object, named: str, tmp_path: Path) -> None:
@@ -167,6 +168,12 @@ def test_an_order_that_is_none_is_refused_in_a_line(order: object, named: str, t
     with pytest.raises(InputError, match=named) as refused:
         dg.import_captures(tmp_path / "sent.npz", tmp_path / "real", device="vl53l8ch_4x4", progress=False)
     assert "\n" not in str(refused.value) and not (tmp_path / "real").exists()
+
+
+@pytest.mark.parametrize("order", [(0.5, 1, 2, 3), ("a",) * 4, 5, (), (2**70, 1, 2, 3), (0, 1, 2, None)])
+def test_an_order_that_is_given_in_python_is_checked(order: Any) -> None:
+    with pytest.raises(InputError, match=r"zone_order lists .*0 … 3 once"):
+        zones_listed("sent", order, dg.device("vl53l8ch_4x4").zones, 4)
 
 
 def test_frames_of_several_orders_are_refused(tmp_path: Path) -> None:
