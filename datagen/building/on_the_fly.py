@@ -11,7 +11,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 
 from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.loader.ranks import number_of_ranks, rank_of_process
 from datagen.pipeline import simulate_sample
 from datagen.records.checks import as_names, check_integer, check_kind
@@ -91,7 +91,8 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
         begin, step = (worker.id, worker.num_workers) if worker is not None else (0, 1)
         every = np.arange(self._first, max(self._first, self._config.scenes))
         dealt = np.resize(every, len(self) * ranks)
-        return _Scenes(self, dealt[rank::ranks][begin::step].tolist())
+        shares = {"first": self._first, "scenes": self._config.scenes, "ranks": ranks, "workers": step}
+        return _Scenes(self, dealt[rank::ranks][begin::step].tolist(), shares)
 
     def __getstate__(self) -> dict[str, Any]:
         """The state with the rank of this process, which a spawned worker takes over."""
@@ -118,8 +119,8 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
 class _Scenes(Iterator[dict[str, torch.Tensor]]):
     """The items of some scenes, one after the other; `StatefulDataLoader` saves and loads how many are done."""
 
-    def __init__(self, data: GeneratedDataset, scenes: list[int]) -> None:
-        self._data, self._scenes, self._done = data, scenes, 0
+    def __init__(self, data: GeneratedDataset, scenes: list[int], shares: dict[str, int]) -> None:
+        self._data, self._scenes, self._shares, self._done = data, scenes, shares, 0
 
     def __next__(self) -> dict[str, torch.Tensor]:
         if self._done >= len(self._scenes):
@@ -128,10 +129,17 @@ class _Scenes(Iterator[dict[str, torch.Tensor]]):
         return self._data.sample(self._scenes[self._done - 1])
 
     def state_dict(self) -> dict[str, int]:
-        """The number of items that were handed out."""
-        return {"done": self._done}
+        """`done`, the number of items that were handed out, and what scenes were shared out, and among how many."""
+        return {"done": self._done, **self._shares}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Leave out the items that were handed out."""
+        """Leave out the items that were handed out. Raises `InputError` if scenes were shared out otherwise."""
+        check_kind("load_state_dict", state, Mapping, remedy="what state_dict returned")
+        for name, here in self._shares.items():
+            if state.get("done") and state.get(name, here) != here:
+                raise InputError(
+                    f"load_state_dict: {name} = {shown(state[name])} when the state was saved, now {here}, so that "
+                    "scenes would come twice or never; give it the same, or the scenes that are left by first="
+                )
         check_integer("load_state_dict", "done", state.get("done"), 0, len(self._scenes))
         self._done = int(state["done"])

@@ -325,3 +325,24 @@ def test_generated_scenes_go_on_without_simulating_anew(simulated: list[int], wo
     simulated.clear()
     assert [rows(batch) for batch in again] == whole[2:]
     assert len(simulated) == (0 if workers else 4)
+
+
+def test_generated_scenes_that_were_shared_out_otherwise_are_refused(simulated: list[int]) -> None:
+    def share(scenes: int = 8, **options: Any) -> Any:
+        config = config_from_mapping(TINY | {"scenes": scenes})
+        return iter(dg.GeneratedDataset(config, ("histogram",), **options))
+
+    items = share()
+    next(items)
+    state = json.loads(json.dumps(items.state_dict()))
+    for other, message in (
+        (share(scenes=9), "scenes = 8 when the state was saved, now 9"),
+        (share(first=2), "first = 0 .* now 2"),
+        (share(rank=0, ranks=2), "ranks = 1 .* now 2, so that scenes would come twice or never"),
+    ):
+        with pytest.raises(InputError, match=message):
+            other.load_state_dict(state)
+        other.load_state_dict(state | {"done": 0})
+    again = share()
+    again.load_state_dict(state)
+    assert scenes_of(again) == [1, 2, 3, 4, 5, 6, 7]
