@@ -187,6 +187,8 @@ def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator
             key = json.loads(text[begin:end])
             if not isinstance(key, str):
                 raise ValueError("a key is needed where an object has something else")
+            if key in found:
+                raise ValueError(f"{key!r} comes twice in one object")
             begin, at = _value(text, _expected(text, end, b":", "a key with a value"))
             if key == named and text[begin : begin + 1] == b'"':
                 found[key] = np.array(json.loads(text[begin:at]))

@@ -5,15 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.errors import InputError
+from datagen.errors import InputError, InputWarning
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import as_rows, check_path, check_reals
 from datagen.untrusted import one_line, read_npy, read_npz, read_records, why_no_file
 
+_FAR_M = 100.0
+"""Lengths above which metres are doubted: sensors of zones see some 5 m, and are moved within a room or a hall."""
+_AS_A_TURN = 0.01
+"""Largest difference of the products of a pose's columns from those of a turn: poses are written with some digits."""
 SUFFIXES = (".json", ".json.gz", ".npz", ".npy")
 
 
@@ -45,6 +50,8 @@ class Frames:
         for name, shape in (("poses", (count, 4, 4)), ("distances_m", (count,)), ("reference", (count, bins))):
             if getattr(self, name) is not None:
                 check_reals(f"Frames.{name}", getattr(self, name), shape)
+        if self.poses is not None:
+            check_poses("Frames.poses", self.poses)
 
     def __len__(self) -> int:
         return len(self.histograms)
@@ -55,6 +62,23 @@ class Frames:
         given = {name: getattr(self, name) for name in ("poses", "distances_m", "reference")}
         there = {name: values[rows] for name, values in given.items() if values is not None}
         return replace(self, histograms=self.histograms[rows], **there)
+
+
+def check_poses(where: str, poses: Floats) -> None:
+    """Raise `InputError`, which begins with `where`, unless poses (n, 4, 4) are a turn and a shift: a mirrored one
+    would exchange left and right of what a sensor sees, a scaled or transposed one stand elsewhere."""
+    turns = poses[:, :3, :3]
+    is_turn = abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2)) < _AS_A_TURN
+    is_mirrored = np.linalg.det(turns) < 0
+    is_last_row = abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) < 1e-6
+    wrong = np.flatnonzero(~is_turn | is_mirrored | ~is_last_row)
+    if len(wrong):
+        first = wrong[0]
+        what = "no turn" if not is_turn[first] else "mirrored" if is_mirrored[first] else "transposed"
+        raise InputError(
+            f"{where}: that of frame {first} is {what}; its columns must be the sensor's left, up and forward, of "
+            "length 1, at right angles and left × up = forward, and its position in metres; its last row is 0 0 0 1"
+        )
 
 
 def fitted_and_tested(count: int) -> tuple[Ints, Ints]:
@@ -102,7 +126,18 @@ def read_frames(path: str | Path) -> Frames:
         values = found.get(name)
         if values is not None and (values.shape != (len(counts), *shape) or not np.isfinite(values).all()):
             raise InputError(f"{path}: {name} of shape {values.shape} for {len(counts)} frames; give one a frame")
+    if "poses" in found:
+        check_poses(f"{path}: pose", found["poses"])
+        _doubt(path, "positions of pose differ by", np.ptp(found["poses"][:, :3, 3], axis=0).max())
+    if "distances_m" in found:
+        _doubt(path, "dist_to_plane reaches", found["distances_m"].max())
     return Frames(path.name, **found)
+
+
+def _doubt(path: Path, what: str, length_m: float) -> None:
+    """Warn of lengths that are most likely no metres."""
+    if length_m > _FAR_M:
+        warn(f"{path}: {what} {length_m:.4g} m; is that in metres?", InputWarning, stacklevel=3)
 
 
 def _with_ambient(path: Path, counts: Floats, ambient: Floats) -> Floats:

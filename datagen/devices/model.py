@@ -14,7 +14,7 @@ from datagen.capture.device_optics import capture_at
 from datagen.config.detector import DetectorConfig
 from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
-from datagen.devices.frames import Frames
+from datagen.devices.frames import Frames, check_poses
 from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError, InputWarning, as_line
 from datagen.records import Capture
@@ -56,6 +56,7 @@ class Device(DeviceConfig):
         matrix = as_reals("Device.at_pose: pose", pose)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(f"Device.at_pose: shape {matrix.shape} given; a finite 4 × 4 matrix is needed")
+        check_poses("Device.at_pose: pose", matrix[None])
         place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
         return self.at(place, place + forward, up)
 

@@ -176,6 +176,40 @@ def test_an_order_that_is_given_in_python_is_checked(order: Any) -> None:
         zones_listed("sent", order, dg.device("vl53l8ch_4x4").zones, 4)
 
 
+@pytest.mark.parametrize(
+    ("pose", "named"),
+    [
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "no turn"), (np.diag([1.0, 1.0, 0.0, 1.0]), "no turn"),
+        (np.diag([-1.0, 1.0, 1.0, 1.0]), "mirrored"), (np.eye(4) + np.eye(4)[[3]].T @ [[1, 2, 3, 0]], "transposed"),
+    ],
+)  # fmt: skip
+def test_poses_that_are_no_turn_and_shift_are_refused(pose: Floats, named: str, tmp_path: Path) -> None:
+    """A mirrored one would exchange left and right without a word; every reader of poses says so."""
+    poses = np.stack([np.eye(4), pose])
+    np.savez(tmp_path / "sent.npz", hists=np.ones((2, 9, 128)), pose=poses)
+    with pytest.raises(InputError, match=rf"sent\.npz: pose: that of frame 1 is {named}"):
+        dg.read_frames(tmp_path / "sent.npz")
+    with pytest.raises(InputError, match=f"Frames.poses: that of frame 1 is {named}"):
+        Frames("sent", np.ones((2, 9, 128)), poses)
+    with pytest.raises(InputError, match=f"Device.at_pose: pose: that of frame 0 is {named}"):
+        dg.device("tmf8820").at_pose(pose)
+
+
+def test_lengths_of_frames_are_doubted_in_other_units_than_metres(tmp_path: Path) -> None:
+    poses = np.stack([np.eye(4)] * 2)
+    poses[1, 0, 3] = 1500.0
+    for more, named in (({"pose": poses}, "pose differ by 1500"), ({"dist_to_plane": [300.0, 900.0]}, "reaches 900")):
+        np.savez(tmp_path / "sent.npz", hists=np.ones((2, 9, 128)), **more)
+        with pytest.warns(InputWarning, match=named):
+            dg.read_frames(tmp_path / "sent.npz")
+
+
+def test_a_key_that_comes_twice_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "sent.json").write_text('[{"hists": [[1, 2]], "hists": [[3, 4]]}]')
+    with pytest.raises(InputError, match="'hists' comes twice"):
+        dg.read_frames(tmp_path / "sent.json")
+
+
 def test_frames_of_several_orders_are_refused(tmp_path: Path) -> None:
     orders = ("rows from top left", "columns from top left")
     frames = [{"hists": np.ones((16, 24)).tolist(), "zone_order": order} for order in orders]
