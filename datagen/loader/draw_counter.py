@@ -66,11 +66,11 @@ class DrawCounter:
         self._loaded[0] = 0
         self._fix(scenes, epoch, repeats, EPOCH)
 
-    def begin_besides(self, epoch: int, scenes: Ints, repeat: int) -> None:
+    def begin_besides(self, epoch: int, scenes: Ints, repeats: Ints) -> None:
         """Make the next read of each of these scenes that repeat of `epoch`, unless somebody else has fixed it. The
         epoch does not have these scenes, but a class of a user's may read them for its items."""
         free = np.isin(self._rows()[KIND, scenes], (COUNTED, BESIDES))
-        self._fix(scenes[free], epoch, np.full(int(free.sum()), repeat), BESIDES)
+        self._fix(scenes[free], epoch, repeats[free], BESIDES)
 
     def take(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
         """(number, stream) of the next draw of each scene of a batch; later reads get other ones."""

@@ -25,6 +25,7 @@ class Found:
     hidden : scenes that a dataset of a user's, which has another length, reads in a way of its own; else None.
     is_once : whether each item is one read; a class of a user's may read a scene several times for an item.
     others : scenes that a class of a user's may read besides, such as those that it mixes into an item.
+    source : the path and seed that the noise comes from: datasets with the same one draw the same noise.
     """
 
     draws: DrawCounter
@@ -33,6 +34,11 @@ class Found:
     hidden: Ints | None = None
     is_once: bool = True
     others: Ints = field(default_factory=lambda: NONE)
+    source: tuple[str, int] = ("", 0)
+
+    def every_scene(self) -> Ints:
+        """All scenes that may be read."""
+        return np.unique(np.concatenate([self.scenes, self.others, NONE if self.hidden is None else self.hidden]))
 
 
 def datasets_of(data: object, items: Ints) -> list[Found]:
@@ -48,7 +54,7 @@ def datasets_of(data: object, items: Ints) -> list[Found]:
         unknown = np.unique(np.concatenate(hidden)) if hidden else None
         others = np.unique(np.concatenate([one.others for one in several]))
         is_once = all(one.is_once for one in several)
-        merged.append(Found(several[0].draws, positions, scenes, unknown, is_once, others))
+        merged.append(Found(several[0].draws, positions, scenes, unknown, is_once, others, several[0].source))
     return merged
 
 
@@ -58,12 +64,13 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
     within = (*within, id(data))
     if isinstance(data, TransientDataset):
         if data._draws is not None:
-            if data.reads_its_items:
-                yield Found(data._draws, positions, data.scenes[items])
-            elif _size(data) == len(data.scenes):
-                yield Found(data._draws, positions, data.scenes[items], is_once=False, others=data.scenes)
+            source = str(data.path), data.seed
+            if data.reads_its_items or _size(data) == len(data.scenes):
+                once = data.reads_its_items
+                others = NONE if once else data.scenes
+                yield Found(data._draws, positions, data.scenes[items], None, once, others, source)
             else:
-                yield Found(data._draws, NONE, NONE, np.unique(data.scenes))
+                yield Found(data._draws, NONE, NONE, np.unique(data.scenes), source=source)
     elif isinstance(data, Subset):
         yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):
@@ -79,11 +86,10 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
             if _size(dataset) == _size(data):
                 # A dataset of the same length reads the same items, as wrappers do that change what is read.
                 for one, of_all in zip(_found(dataset, positions, items, within), whole, strict=True):
-                    yield replace(one, is_once=False, others=np.union1d(of_all.scenes, of_all.others))
+                    yield replace(one, is_once=False, others=of_all.every_scene())
             else:
                 for one in whole:
-                    known = NONE if one.hidden is None else one.hidden
-                    yield Found(one.draws, NONE, NONE, np.unique(np.concatenate([one.scenes, one.others, known])))
+                    yield Found(one.draws, NONE, NONE, one.every_scene(), source=one.source)
 
 
 def _parts_of(data: object) -> Iterator[Any]:

@@ -10,12 +10,15 @@ from torch.utils.data import Sampler
 
 from datagen.errors import InputError, shown
 from datagen.loader.joined import Found, check_joined, datasets_of
+from datagen.records.arrays import Ints
 from datagen.records.checks import check_flag, check_integer, check_kind, check_seed
 from datagen.seeding import Purpose, generator
 
 UNKNOWN = 2**20
 """Repeats of a scene that each rank has for itself where a user's dataset hides which scenes it reads, or how
 often."""
+COPY = 2**52
+"""Repeats of a scene for each further dataset of the same path and seed; no rank has as many for itself."""
 
 
 class EpochSampler(Sampler[int]):
@@ -133,8 +136,11 @@ class EpochSampler(Sampler[int]):
         if self._shuffle:
             order = generator(self._seed, epoch, Purpose.LOADER, part=1).permutation(order)
         dealt = np.resize(order, len(self) * self._ranks)
+        before: dict[tuple[str, int], list[Ints]] = {}
         for found in datasets_of(self._data, dealt):
-            self._begin_noise(found, epoch, done)
+            equals = before.setdefault(found.source, [])
+            self._begin_noise(found, epoch, done, equals)
+            equals.append(found.every_scene())
         self._epoch, self._done, self._is_told, self._running = epoch + 1, 0, False, iteration
         return epoch, done, dealt[self._rank :: self._ranks].tolist()
 
@@ -143,8 +149,18 @@ class EpochSampler(Sampler[int]):
         if self._running is iteration:
             self._running = None
 
-    def _begin_noise(self, found: Found, epoch: int, done: int) -> None:
-        """Tell a dataset which repeats of its scenes this process is to draw."""
+    def _begin_noise(self, found: Found, epoch: int, done: int, equals: list[Ints]) -> None:
+        """Tell a dataset which repeats of its scenes this process is to draw.
+
+        equals : scenes of each dataset of the same path and seed that is told before.
+        """
+
+        def apart(scenes: Ints, repeats: Ints | int) -> Ints:
+            copies: Ints = np.zeros(len(scenes), np.int64)
+            for other in equals:
+                copies += np.isin(scenes, other)
+            return copies * COPY + repeats
+
         draws = found.draws
         if draws.loaded_epoch not in (None, epoch, epoch - 1) and not self._is_told:
             raise InputError(
@@ -154,7 +170,7 @@ class EpochSampler(Sampler[int]):
             )
         rank = self._rank if self._ranks > 1 else draws.rank
         if found.hidden is not None:
-            draws.begin_epoch(epoch, found.hidden, np.full(len(found.hidden), rank * UNKNOWN + done))
+            draws.begin_epoch(epoch, found.hidden, apart(found.hidden, rank * UNKNOWN + done))
             return
         number, scenes = found.scenes.max(initial=-1) + 1, found.scenes
         of_rank = found.positions % self._ranks
@@ -169,10 +185,10 @@ class EpochSampler(Sampler[int]):
             times = np.bincount(scenes, minlength=number)
             repeats += np.where(times > 1, rank * times, 0)
         own = np.unique(scenes[of_rank == self._rank])
-        draws.begin_epoch(epoch, own, repeats[own])
+        draws.begin_epoch(epoch, own, apart(own, repeats[own]))
+        others = np.setdiff1d(found.others, own)
         is_alone = self._ranks == 1 and not rank
-        apart = 0 if is_alone else (self._ranks + rank) * UNKNOWN
-        draws.begin_besides(epoch, np.setdiff1d(found.others, own), apart + done)
+        draws.begin_besides(epoch, others, apart(others, done + (0 if is_alone else (self._ranks + rank) * UNKNOWN)))
 
 
 class _Epoch(Iterator[int]):

@@ -359,6 +359,18 @@ REPEATED: dict[str, tuple[Callable[[TransientDataset], Any], int]] = {
     "a part of mixed": (lambda data: Subset(Mixing(data), range(0, 12, 2)), 12),
     "a subclass of more items": (of_class(Thrice), 36),
     "a subclass of fewer items": (of_class(Chosen), 4),
+    "copies beside it": (
+        lambda data: ConcatDataset(
+            [
+                Subset(data, [4, 5, 6]),
+                copy.deepcopy(data),
+                Augmented(pickle.loads(pickle.dumps(data))),
+                of_class(Thrice)(data),
+                of_class(TransientDataset)(data),
+            ]
+        ),
+        75,
+    ),
     "a shallow copy beside it": (lambda data: ConcatDataset([data, copy.copy(data)]), 24),
 }
 """A dataset that reads scenes several times in an epoch, and how many reads that are."""
