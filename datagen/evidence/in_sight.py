@@ -19,16 +19,17 @@ import numpy as np
 
 from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
-from datagen.transport import transient_of
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.flood import as_scan, sum_of_flood
+from datagen.transport.flood import at_sensor
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.lines_of_sight import lines_of_sight
+from datagen.transport.path_light import with_samples
+from datagen.transport.problem import Problem, nothing
 from datagen.transport.rays import Raycaster
 
-SAMPLES = 1024
-"""Paths of each pair of laser point and pixel where the accuracy states a target. Light of one bounce is exact with
-any number; two and three bounces are far fainter."""
+SAMPLES, LEAST = 1024, 4
+"""Paths of each histogram where the accuracy states a target, and fewest of each pair of laser point and pixel of a
+flood. Light of one bounce is exact with any number; two and three bounces are far fainter."""
 LINES_ALONG = 9
 """Lines of sight along each side of a pixel that search for objects in it; rays to triangles find smaller ones."""
 MOST_RAYS = 4096
@@ -49,24 +50,27 @@ def light_in_sight(
     in_sight = objects_in_sight(scene, capture, caster)
     if not in_sight:
         return {}
-    asked = Accuracy(samples=accuracy.samples or SAMPLES, max_bounces=3, direct=accuracy.direct)
-    flood = capture.illumination == "flood"
-    scan = as_scan(capture) if flood else capture
-    whole, light = _rows(scene, scan, asked, seed, caster), dict[str, Floats]()
+    is_flood = capture.illumination == "flood"
+    lasers = len(capture.laser.targets) if is_flood else 1
+    samples = accuracy.samples or max(SAMPLES // lasers, LEAST)
+    asked = Accuracy(samples=samples, max_bounces=3, direct=accuracy.direct)
+    whole, light = _rows(scene, capture, asked, seed, caster), dict[str, Floats]()
     for name in in_sight:
         k = scene.part_names.index(name)
         black = replace(scene, materials=(*scene.materials[:k], Lambertian(0.0), *scene.materials[k + 1 :]))
-        rest = _rows(black, scan, asked, seed, caster)
+        rest = _rows(black, capture, asked, seed, caster)
         # The row of the object itself is `parts[object]`, which the transient knows with a smaller error.
-        own = sum((whole[row] - rest[row] for row in whole if row != name), start=np.zeros(scan.shape))
+        own = sum((whole[row] - rest[row] for row in whole if row != name), start=np.zeros(capture.shape))
         np.maximum(own, 0.0, out=own)
-        light[name] = sum_of_flood(own, capture) if flood else own
+        light[name] = at_sensor(own, capture) if is_flood else own
     return light
 
 
 def _rows(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, caster: Raycaster) -> dict[str, Floats]:
-    """Light (L, P, T) of three bounces by part, and direct light under the name ""."""
-    found = transient_of(scene, capture, accuracy, seed, caster=caster)
+    """Light (L, P, T) of three bounces by part, and direct light under the name ""; of a beam with cells without one
+    bounce, and before what a flood's sensor adds."""
+    problem = Problem.of(scene, capture, accuracy, seed, split_parts=True, caster=caster)
+    found = with_samples(problem) if (problem.points.part >= 0).any() else nothing(problem)
     direct = {"": found.components["direct"]} if accuracy.direct else {}
     return {**found.parts, **direct}
 

@@ -55,6 +55,8 @@ DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
+AMPLE = 10.0
+"""δ that would do, over that of the pilot, from which on errors hardly matter, and how well they are known."""
 FINEST, COARSEN = 100.0, 2.0
 """Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
 and most that it rises."""
@@ -348,10 +350,12 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     known, delta = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
-    # Light of few histograms has few differences that tell its error, so that it is run more often.
+    # Light of few histograms has few differences that tell its error, so that it is run more often if that matters.
     each = np.square(known.light.sum(axis=0)).sum(axis=1)
     histograms = known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
+    if (_finer(_precision(cuts, known, SCATTER + SHARED, target)) > AMPLE * delta).all():
+        times = 1
     found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
         if turn:
@@ -364,8 +368,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
         # coarser than what is known, as the error of small objects may rise steeply.
-        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
-        delta = np.where(again, np.clip(finer, delta / FINEST, delta if turn else COARSEN * delta), delta)
+        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, delta if turn else COARSEN * delta), delta)
         asked = np.where(again, delta, np.nan)
         for _ in range(times):
             found.add(cuts.run(every, asked, 2 + found.runs), asked)
@@ -438,7 +441,7 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
         known.light[again[cuts.groups]] = run.light[again[cuts.groups]]
         known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
         wanted = _precision(cuts, known, SCATTER + SHARED, target)
-        finer = np.maximum(wanted, LEAST_LIGHT) ** (-0.5 / FALLS)
+        finer = _finer(wanted)
         again = CLOSE * finer < delta
         if turn == PILOTS - 1 or not again.any() or cuts.knows_little:
             break
@@ -467,6 +470,11 @@ def _without_noise(light: Floats, squares: Floats) -> float:
     of what it is with noise."""
     norm = l2_norm(light) ** 2
     return math.sqrt(max(norm - float(squares.sum()), 0.1 * norm))
+
+
+def _finer(precision: Floats) -> Floats:
+    """(G,) δ of a run with some precision."""
+    return np.asarray(np.maximum(precision, LEAST_LIGHT) ** (-0.5 / FALLS))
 
 
 def _precision(cuts: Cuts, known: _Known, claimed: float, target: float) -> Floats:

@@ -147,14 +147,14 @@ def transient_of(
     began = clock_time.perf_counter()
     problem = Problem.of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     ready = clock_time.perf_counter()
-    beam = None
-    if capture.laser.cells is not None and accuracy.direct:
+    beam, is_flood = None, capture.illumination == "flood"
+    if is_flood and capture.laser.cells is not None and accuracy.direct:
         beam = one_bounce_of_beam(scene, capture, problem.caster, problem.materials)
     if not (problem.points.part >= 0).any():
         found = nothing(problem)
     else:
         found = with_samples(problem) if accuracy.target is None else _to_target(problem, beam)
-    if capture.illumination == "flood":
+    if is_flood:
         found = at_flooded_sensor(problem, found, beam)
     seconds = {"prepare": ready - began, "trace": clock_time.perf_counter() - ready}
     return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(found))
