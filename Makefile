@@ -16,7 +16,7 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
-	bench-detector bench-loaders bench-large bench-evidence bench-acceptance bench-peers peers \
+	bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers peers \
 	wheel wheel-demo clean
 
 help:
@@ -29,8 +29,8 @@ help:
 	@echo "make fuzz    thousands of random cases (SEED=…)"
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
-	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -loaders,"
-	@echo "             -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
+	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -devices,"
+	@echo "             -loaders, -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
 
 setup: $(STAMP)
 
@@ -98,7 +98,7 @@ nightly: setup
 	$(BIN)/python tests/equivalence/mutations.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
-bench: setup bench-scaling bench-detector bench-loaders bench-large bench-evidence bench-acceptance bench-peers
+bench: setup bench-scaling bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
@@ -108,6 +108,9 @@ bench-scaling: setup
 bench-detector: setup
 	$(BIN)/python tests/benchmarks/detector.py
 	$(BIN)/python tests/benchmarks/pileup.py configs/demonstration_room.yaml
+
+bench-devices: setup
+	$(BIN)/python tests/benchmarks/devices.py
 
 bench-loaders: setup
 	$(BIN)/python tests/benchmarks/loaders.py

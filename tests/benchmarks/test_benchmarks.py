@@ -13,7 +13,7 @@ from subprocess import CalledProcessError
 
 import numpy as np
 import pytest
-from benchmarks import detector, evidence, large_datasets, loaders, long_builds, scaling
+from benchmarks import detector, devices, evidence, large_datasets, loaders, long_builds, scaling
 from benchmarks.hard_scenes import hard
 from damage import SCENES, sample, small_dataset
 from datasets import write_dataset
@@ -142,6 +142,15 @@ def test_detector(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(detector, name, small)
     for name, spad in detector.CASES.items():
         assert all(float(cell.rstrip("×")) > 0 for cell in detector.row(name, spad, 0.5)[3:-1])
+
+
+def test_devices(capsys: pytest.CaptureFixture[str]) -> None:
+    """A device that looks at things has a row with both places, one that scans a relay wall with one."""
+    devices.main(["vl53l1x", "linospad2", "--scenes", "1"])
+    head, _, looking, scanning = capsys.readouterr().out.splitlines()[-4:]
+    assert head.count("|") == looking.count("|") == scanning.count("|") == 8
+    assert looking.startswith("| `vl53l1x` |") and "of 1 |" in looking.split("room")[-1] and "–" not in looking
+    assert scanning.endswith("of 1 | – | – | – |")
 
 
 def test_scaling(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,7 +104,7 @@ def test_scenes_that_form_no_dataset_are_refused(tmp_path: Path) -> None:
     for scenes, given, settings, piece in (
         ([], capture(), {}, "none given"),
         ([room(1.0)], None, {}, "capture = None: a Capture is needed"),
-        ([3], capture(), {}, "not a Scene"),
+        ([3], capture(), {}, "a Scene is needed"),
         ([room(1.0), (room(1.0), other)], capture(), {}, "one shape"),
         ([(room(1.0), capture(), np.zeros((2, 3, 5)))], None, {}, "transient"),
         ([room(1.0)], capture(), {"scene": {}}, "leave it out"),
