@@ -11,7 +11,7 @@ from datagen.store.growth import growth_of, waiting_record
 from datagen.store.location import Location
 from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.record import GROWTH, SceneRecord, ShardRecord, recorded_shards, sound_records
-from datagen.store.table import TABLE, table_of
+from datagen.store.table import CROISSANT, TABLE, table_of
 
 NOT_THERE = "is not there yet"
 
@@ -24,8 +24,10 @@ def largest(root: Location, manifest: Manifest) -> Manifest:
 def is_complete(root: Location, manifest: Manifest) -> bool:
     """Whether the dataset of a manifest is complete at a location."""
     there = {shard for shard in recorded_shards(root) if shard < manifest.schema.shards}
-    is_described = read_manifest(root).schema.scenes == manifest.schema.scenes and (root / TABLE).is_file()
-    return is_described and len(there) == manifest.schema.shards
+    is_described = read_manifest(root).schema.scenes == manifest.schema.scenes
+    # A first build writes the table before the file that has its hash.
+    has_table = (root / TABLE).is_file() and (root / CROISSANT).is_file()
+    return is_described and has_table and len(there) == manifest.schema.shards
 
 
 def shards_there(root: Location, manifest: Manifest, shards: Iterable[int] | None = None) -> Iterator[ShardRecord]:

@@ -283,6 +283,14 @@ def test_an_incomplete_first_build_is_read_in_part(tmp_path: Path, large: Path) 
     build_fakes(config(MANY), root)
     assert same(values(data), values(TransientDataset(large, FIELDS))) and len(data) == 8
     assert len(TransientDataset(root, partial=True)) == MANY
+    # All shards are there, but the build has not written the hash of the table yet.
+    (root / "croissant.json").unlink()
+    last = TransientDataset(root, FIELDS, partial=True)
+    assert (
+        same(values(last), values(TransientDataset(large, FIELDS)))
+        and len(last) == len(last.parameters("index")) == MANY
+    )
+    assert last.stats == TransientDataset(large).stats
     empty = tmp_path / "empty"
     shutil.copytree(root, empty)
     shutil.rmtree(empty / "build")
