@@ -221,14 +221,17 @@ def verify(dataset: str, deep: bool, resimulate: int | None) -> None:
 
     found = verify_dataset(dataset, deep)
     problems, again = [*found.problems], ""
+    # Said before scenes are made again: that takes long, and ends where a mesh file is gone.
+    for problem in problems:
+        say(as_line(problem))
     if resimulate is not None:
         from datagen.building.resimulate import resimulate as simulate_again
 
         scenes, differing = simulate_again(dataset, resimulate)
+        for problem in differing:
+            say(as_line(problem))
         problems += differing
         again = f"; scenes simulated again: {', '.join(map(str, scenes))}"
-    for problem in problems:
-        say(as_line(problem))
     if problems:
         raise CheckError(f"{dataset}: {len(problems)} problems; build it again to mend them")
     state = f"{found.scenes} scenes in {found.shards} shards, {readable(found.bytes)}: all as written{again}"

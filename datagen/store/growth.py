@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from datagen.errors import InputError
+from datagen.errors import CheckError, InputError
 from datagen.locks import locked
 from datagen.records.checks import as_given
 from datagen.store.arrays import GROUP
@@ -40,6 +40,8 @@ _TURNS = (
 )  # fmt: skip
 """Patterns of the names of files, in the order in which these take their places."""
 _WAIT_S = 0.05
+_PATIENCE_S = 600.0
+"""Seconds that a build waits for another one which completes a growth: the table of a million scenes takes less."""
 
 
 def growth_of(root: Location, manifest: Manifest) -> Manifest | None:
@@ -129,14 +131,21 @@ def remove_empty(root: Path) -> None:
 
 @contextmanager
 def growing_alone(root: Path) -> Iterator[None]:
-    """A context in which no other build completes the growth of this dataset. Without a growth nobody waits."""
+    """A context in which no other build completes the growth of this dataset. Without a growth nobody waits. Raises
+    `CheckError` if another build is at it for longer than `_PATIENCE_S`, such as one that was stopped."""
     try:
         handle = os.open(root / GROWTH, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     except OSError:
         yield
         return
     try:
+        last = time.monotonic() + _PATIENCE_S
         while not locked(handle, otherwise=True):
+            if time.monotonic() > last:
+                raise CheckError(
+                    f"{root}: another build has been completing it for {_PATIENCE_S:.0f} s, and does not go on; when "
+                    "that process has gone on or ended, run the same command again"
+                )
             time.sleep(_WAIT_S)
         yield
     finally:

@@ -115,6 +115,8 @@ def test_scenes_simulated_again_are_those_stored(
     assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 2
     assert "made by datagen 9.9.9, and this is" in capsys.readouterr().err
     (tmp_path / "set/data.zarr/depth/c/1/0/0").unlink()
+    assert run(["verify", str(tmp_path / "set"), "--resimulate", "3"]) == 2
+    assert "shard 1: data.zarr/depth/c/1/0/0: missing\n" in capsys.readouterr().out
     assert run(["verify", str(tmp_path / "set")]) == 1
     out, err = capsys.readouterr()
     assert "shard 1: data.zarr/depth/c/1/0/0: missing\n" in out

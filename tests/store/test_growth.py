@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
@@ -28,6 +30,7 @@ from datagen.loader import TransientDataset
 from datagen.records import Sample
 from datagen.store import growth, planned, read_manifest, verify
 from datagen.store.info import info
+from datagen.store.record import GROWTH
 from datagen.store.verify import dataset_digest
 
 FIELDS = ("histogram", "depth", "laser_points")
@@ -261,6 +264,23 @@ def test_two_builds_that_complete_a_growth_at_once(tmp_path: Path, large: Path, 
         statuses = [*pool.map(kills.in_a_child, [lambda: grow(root)] * 3)]
     assert statuses == [0, 0, 0]
     assert dataset_digest(root) == dataset_digest(large) and set(files(root)) == set(files(large))
+
+
+def test_a_build_does_not_wait_for_ever_for_one_that_was_stopped(
+    tmp_path: Path, small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While that one completes the growth; when it is gone the same command completes it."""
+    root = tmp_path / "set"
+    shutil.copytree(small, root)
+    grow(root, shards="1-4")
+    stopped = os.open(root / GROWTH, os.O_RDONLY)
+    fcntl.flock(stopped, fcntl.LOCK_EX)
+    monkeypatch.setattr(growth, "_PATIENCE_S", 0.2)
+    with pytest.raises(CheckError, match="another build has been completing it"):
+        grow(root)
+    os.close(stopped)
+    grow(root)
+    assert not (root / GROWTH).exists() and verify(root, deep=True).problems == ()
 
 
 def test_an_incomplete_first_build_is_read_in_part(tmp_path: Path, large: Path) -> None:
