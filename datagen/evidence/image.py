@@ -150,7 +150,8 @@ def evidence_image(
         photon, in each bin of the pairs' histograms.
 
     The value is 0 where a label pixel shows no surface, or no light arrives from it. The pixels of an object that is
-    wholly in view add up to the object's own detections to some percent, as each pixel is represented by its middle.
+    wholly in view add up to the object's own detections to some percent, as each pixel is represented by its middle;
+    to a fifth near a flood of which few pairs stand for many.
     """
     shown = surface.face >= 0
     if scan_pairs is None or not shown.any():
