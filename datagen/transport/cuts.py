@@ -55,8 +55,6 @@ DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
-AMPLE = 10.0
-"""δ that would do, over that of the pilot, from which on errors hardly matter, and how well they are known."""
 FINEST, COARSEN = 100.0, 2.0
 """Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
 and most that it rises."""
@@ -350,11 +348,12 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     known, delta = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
-    # Light of few histograms has few differences that tell its error, so that it is run more often if that matters.
+    # Light of few histograms has few differences that tell its error, so that it is run more often; unless there is
+    # less of it than the error that is asked.
     each = np.square(known.light.sum(axis=0)).sum(axis=1)
     histograms = known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
-    if (_finer(_precision(cuts, known, SCATTER + SHARED, target)) > AMPLE * delta).all():
+    if _is_faint(cuts, known, target):
         times = 1
     found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
@@ -373,6 +372,14 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
         for _ in range(times):
             found.add(cuts.run(every, asked, 2 + found.runs), asked)
     return found.result()
+
+
+def _is_faint(cuts: Cuts, known: _Known, target: float) -> bool:
+    """Whether the light, and that of each object, is less than the error that is asked of all light."""
+    total, more, part_target = known.light.sum(axis=0), math.sqrt(known.more), cuts.problem.accuracy.each_part
+    norms, whole = cuts.norms(known.light, known.more), cuts.norm(total, known.more)
+    faint = more * np.array([l2_norm(of) for of in known.light]) <= part_target * norms
+    return bool(more * l2_norm(total) <= target * whole and faint[cuts.worth(norms, whole)].all())
 
 
 class _Seen(NamedTuple):

@@ -259,10 +259,10 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
     norm = l2_norm(sum(light.values(), start=first.reshape(shape)))
-    # That none of much light was met within the window does not say how much there is.
-    is_known = (
-        not overflow.any() or _ends_before_light(problem) or (primary is not None and not sources and not error)
-    )
+    # That none of much light was met within the window does not say how much there is. Cuts know where they looked at
+    # all laser points, which they do not for a flood.
+    is_proven = primary is not None and not sources and not error and problem.capture.illumination != "flood"
+    is_known = is_proven or not overflow.any() or _ends_before_light(problem)
     relative = error / norm if norm > 0 else 0.0 if is_known else math.nan
     if norm > 0:
         # Replicates agree in what no ray can know.
