@@ -42,10 +42,10 @@ def metadata_files(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, 
     for name, time in axes.items():
         _create_arrival_times(group, name, time)
     files = {key: store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
-    return {f"{GROUP}/{key}": content for key, content in (files | _consolidated(files)).items()}
+    return {f"{GROUP}/{key}": content for key, content in (files | _group_metadata(files)).items()}
 
 
-def _consolidated(files: Mapping[str, bytes]) -> dict[str, bytes]:
+def _group_metadata(files: Mapping[str, bytes]) -> dict[str, bytes]:
     """The group's `zarr.json` with the metadata of all arrays in it. Readers that know these open the group in one
     read, others ignore them.
 

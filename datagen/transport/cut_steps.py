@@ -391,8 +391,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
             while top > 0:
                 top -= 1
                 enough = asked.delta[k] if at[3] < most else COARSE
-                seen, guessed, is_inside = cluster_of(room, pool, p, tag[top, 2], ends.power), 0.0, True
-                piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, True)
+                seen = cluster_of(room, pool, p, tag[top, 2], ends.power)
                 if tag[top, 0] == BOX:
                     light = light_of_box(
                         room.tree, tag[top, 1], surface, lit, seen, room.values, room.air, room.plane
@@ -400,12 +399,12 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                     if light < 0.0:
                         continue
                     legs = ends.leg + (pool.leg[seen.one] if room.device else 0.0)
-                    is_inside = box_may_arrive(room.tree, tag[top, 1], legs, room, lit, seen)
+                    inside, guessed = box_may_arrive(room.tree, tag[top, 1], legs, room, lit, seen), seen.gain * light
                     # What is near is cut wherever its light arrives.
-                    if light == np.inf or (is_inside and seen.gain * light > enough):
+                    if light == np.inf or (inside and guessed > enough):
                         top = open_box(walk, top, room, surface, lit, seen)
                         continue
-                    guessed = seen.gain * light
+                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside)
                 else:
                     n = get(room.tree.normal, tag[top, 1], 0)
                     piece = judged(walk, top, n, enough, ends.leg, pool.leg[seen.one], room, surface, lit, seen)
@@ -416,11 +415,11 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                         top = halve(walk, top, share, n, room, surface, lit, seen)
                     if piece.verdict != SAMPLE:
                         continue
-                    guessed, is_inside = seen.gain * piece.area * piece.most, piece.inside
+                    guessed = seen.gain * piece.area * piece.most
                 if used == len(batch.row):
                     at[0], at[1], at[2] = pair, k, top + 1
                     return used
-                expected[2] += guessed if is_inside else 0.0
+                expected[2] += guessed if piece.inside else 0.0
                 chance = min(max(guessed / (enough * math.sqrt(piece.width)), asked.least), 1.0)
                 if not _is_drawn(walk, chance):
                     continue

@@ -342,7 +342,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     """
     cuts = Cuts(problem, target, beside)
     every = np.arange(cuts.pairs.histograms)
-    seen = _looked(cuts)
+    seen = _first_look(cuts)
     if not seen.light.any():
         return _dark(cuts, seen)
     known, delta = _pilot(cuts, seen, target)
@@ -384,7 +384,7 @@ def _is_faint(cuts: Cuts, known: _Known, target: float) -> bool:
 
 class _Seen(NamedTuple):
     """What a look has told: light (K, n, T), outside (K, n), square (G, n) and whole (n,) as in `Run`, of the
-    histograms `which` (n,); and `guessed` photons of all histograms within the window."""
+    histograms `which` (n,); `guessed` photons of all histograms within the window; and the number of samples."""
 
     which: Ints
     light: Floats
@@ -395,8 +395,8 @@ class _Seen(NamedTuple):
     samples: int
 
 
-def _looked(cuts: Cuts) -> _Seen:
-    """A look at some histograms, of few elements each; at all, if it meets no light within the window."""
+def _first_look(cuts: Cuts) -> _Seen:
+    """What is seen at a look at some histograms, of few elements each; at all, if no light falls into the window."""
     H = cuts.pairs.histograms
     some = _spread(cuts, H, FEW)
     some = some[:: max(len(some) // FIRST, 1)]
@@ -413,7 +413,7 @@ def _spread(cuts: Cuts, count: int, most: int, *numbers: int) -> Ints:
 
 
 def _look(cuts: Cuts, which: Ints, times: int, most: int, number: int) -> _Seen:
-    """Some runs of few elements of each of some histograms, with up to so many of their laser points."""
+    """What some runs tell of a few elements of some histograms, with up to so many of their laser points."""
     coarse, runs = np.full(cuts.groups.max() + 1, COARSE), list[Run]()
     for turn in range(number, number + times):
         points = _spread(cuts, cuts.points, most, turn)

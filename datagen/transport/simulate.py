@@ -35,7 +35,7 @@ MET = 1.25
 """Claimed error over target up to which a target counts as met: it is aimed at, and a claim is an estimate."""
 
 ABOUT = 0.2
-"""Error up to which direct light is looked at before the primary."""
+"""Relative L2 error to which direct light is sampled first, only to tell what is asked of the primary."""
 
 
 def simulate(

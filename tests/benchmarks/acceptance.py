@@ -34,8 +34,6 @@ from datagen.bench.measuring import machine, markdown, percent
 from datagen.bench.plain_check import RUNS, Checked, PlainPaths
 from datagen.errors import InputWarning
 from datagen.records.arrays import Floats
-from datagen.transport.flood import as_scan
-from datagen.transport.reference import pairs_of
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 READY = (
@@ -103,8 +101,7 @@ class Case(NamedTuple):
 
 def measured(name: str, scene: dg.Scene, capture: dg.Capture, accuracy: dg.Accuracy, paths: float) -> Case:
     """A scene. paths : thousands of plain paths, over all pairs and runs, that the first check draws."""
-    capture = as_scan(capture) if capture.illumination == "flood" else capture
-    count = len(pairs_of(capture))
+    count = math.prod(capture.shape[:2])
     chosen = np.sort(np.random.default_rng(0).choice(count, min(count, PAIRS), replace=False))
     dg.simulate(scene, capture, accuracy, 0)
     began = time.process_time()

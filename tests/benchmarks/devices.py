@@ -24,7 +24,7 @@ HEADER = ["device", *(f"{place}, {what}" for place in PLACES for what in ("media
 
 
 def measured(name: str, scenes: int) -> list[str]:
-    """A row of the table."""
+    """The cells of a device: its name, and seconds and scenes outside of its window, in each place."""
     row = [f"`{name}`"]
     for place in PLACES.values():
         config = config_from_mapping({"seed": 4, "capture": {"device": name} | place})
