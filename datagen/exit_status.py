@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import signal
@@ -49,6 +50,8 @@ class Ended(SystemExit):
 def exit_with(command: Callable[[], int]) -> NoReturn:
     """Run a command as all that this process does, and exit with its status; signals end it with one line."""
     _received.clear()
+    # First, so that it is the last of what Python does at its end.
+    atexit.register(_leave, os.getpid())
     is_over = False
 
     def end(number: int, _: object) -> None:
@@ -94,6 +97,16 @@ def exit_with(command: Callable[[], int]) -> NoReturn:
         print(end="\n" if sys.stderr.isatty() else "", file=sys.stderr)
         _say(f"{WORDS.get(_received[0], 'ended by an alarm')}; {_at_end[0]}")
     sys.exit(status)
+
+
+def _leave(process: int) -> None:
+    """End this process if a signal ended its command. After Python a library in C, whose import the signal cut short,
+    may exit with a status of its own."""
+    if _received and os.getpid() == process:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(128 + _received[0])
 
 
 def _is_clearing_up() -> bool:
