@@ -13,13 +13,14 @@ from subprocess import CalledProcessError
 
 import numpy as np
 import pytest
-from benchmarks import detector, devices, evidence, large_datasets, loaders, long_builds, scaling
+from benchmarks import acceptance, detector, devices, evidence, large_datasets, loaders, long_builds, scaling
 from benchmarks.hard_scenes import hard
 from damage import SCENES, sample, small_dataset
 from datasets import write_dataset
 from torch.utils.data import IterableDataset
 
 from datagen import Accuracy, simulate
+from datagen.bench.plain_check import Checked
 from datagen.building.build import build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.loader import TransientDataset
@@ -181,3 +182,45 @@ def test_every_hard_scene_has_light() -> None:
         found = simulate(scene, capture, Accuracy(samples=64), seed=1)
         assert (found.total.sum(axis=2) + found.overflow).all(), name
     assert len(set(names)) == len(names)
+
+
+def claim(claimed: float, error: float, noise: float, energy: float = 1.0) -> acceptance.Judged:
+    """A claim whose error is found with some noise, both relative L2 errors."""
+    return acceptance.Judged(claimed, Checked(error**2, noise**2), energy, 0.001)
+
+
+def test_a_claim_that_is_far_too_small_is_known() -> None:
+    """Noise counts relative to the larger of claim and error, as an error and not as a square."""
+    assert claim(0.001, 0.03, 0.01).is_known and not claim(0.001, 0.001, 0.01).is_known
+    assert claim(0.02, 0.0, 0.0069).is_known and not claim(0.02, 0.0, 0.0071).is_known
+    assert claim(0.0, 0.02, 0.0069).is_known and not claim(0.0, 0.02, 0.0071).is_known
+
+
+def test_kinds_weigh_the_same_and_nothing_is_left_out_in_silence() -> None:
+    """Twenty scenes of one kind are one of three; claims of nothing, and those that are not known, have lines."""
+    whole = [*[claim(0.02, 0.02, 0.001)] * 20, claim(0.02, 0.01, 0.001, 0.9), claim(0.01, 0.05, 0.001)]
+    whole += [claim(0.02, 0.0, 0.02), claim(0.0, 1.0, 0.1, 0.0), claim(0.0, 0.0, 0.0)._replace(noise=0.0)]
+    kinds = ["one"] * 20 + [f"{number}" for number in range(5)]
+    cases = [
+        acceptance.Case(kind, f"{kind} {n}", 1.0, of, {"primary": (of, "cuts")}, {"box": of._replace(claimed=np.nan)})
+        for n, (kind, of) in enumerate(zip(kinds, whole, strict=True))
+    ]
+    lines = acceptance.summary(cases, Accuracy(target=0.02)).splitlines()
+    assert lines[0] == "25 scenes of 6 kinds, 25.0 processor s"
+    assert lines[1] == "22 of 23 claims of wholes are known, of 3 kinds"
+    assert lines[2] == "2 more wholes where nothing was met, in 1 of which paths met light; 0 without a claim"
+    assert lines[3].endswith("median 1.00, 95 % 5.00, largest 5.00 (1 21); 1 beyond 1.5")
+    assert "0 of 0 claims of objects are known, of 0 kinds" in lines
+    assert "0 more objects where nothing was met, in 0 of which paths met light; 25 without a claim" in lines
+    assert any(line.startswith("energy of primary") and "of 24; furthest 0.0000" in line for line in lines)
+
+
+def test_what_paths_say_of_light() -> None:
+    """They find about the energy of a room, and go on until they know its errors, or those far beyond a claim twice."""
+    kind, name, scene, capture = next(acceptance.foreign(1, 0))
+    case = acceptance.measured(kind, name, scene, capture, Accuracy(target=0.1, max_bounces=3), 2.0)
+    assert (case.kind, case.name, set(case.components)) == ("0", "foreign 0", {"primary"})
+    assert abs(case.whole.energy - 1) < 5 * case.whole.noise + 0.1
+    far = case._replace(whole=claim(0.001, 0.03, 0.001), objects={})
+    assert not far.is_done(0) and far.is_done(1)
+    assert not case._replace(whole=claim(0.001, 0.0, 0.01), objects={}).is_done(1)
