@@ -216,7 +216,7 @@ def test_kinds_weigh_the_same_and_nothing_is_left_out_in_silence() -> None:
 
 
 def test_what_paths_say_of_light() -> None:
-    """They find about the energy of a room, and are doubled until they know its errors, and claims that look wrong."""
+    """They find about the energy of a room, and are doubled until they know its errors, and claims that look off."""
     kind, name, scene, capture = next(acceptance.foreign(1, 0))
     case = acceptance.measured(kind, name, scene, capture, Accuracy(target=0.1, max_bounces=3), 2.0)
     assert (case.kind, case.name, set(case.components)) == ("0", "foreign 0", {"primary"})
