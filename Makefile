@@ -16,8 +16,8 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
-	bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers peers \
-	wheel wheel-demo clean
+	bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers \
+	peers wheel wheel-demo clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -29,8 +29,8 @@ help:
 	@echo "make fuzz    thousands of random cases (SEED=…)"
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
-	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -detector, -devices,"
-	@echo "             -loaders, -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
+	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -first, -detector,"
+	@echo "             -devices, -loaders, -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
 
 setup: $(STAMP)
 
@@ -98,12 +98,16 @@ nightly: setup
 	$(BIN)/python tests/equivalence/mutations.py
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
-bench: setup bench-scaling bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers
+bench: setup bench-scaling bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence \
+		bench-acceptance bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
 bench-scaling: setup
 	$(BIN)/python tests/benchmarks/scaling.py
+
+bench-first: setup
+	$(BIN)/python tests/benchmarks/first_scene.py $(CONFIG)
 
 bench-detector: setup
 	$(BIN)/python tests/benchmarks/detector.py

@@ -4,6 +4,9 @@ numba caches a kernel on disk and sees when its own file changes, not when a fun
 does: the kernel would go on computing what it computed before. So the files of the cache carry a digest of all
 sources in their names, and after any change of the sources kernels are compiled anew.
 
+A kernel that other kernels call is not compiled on its own: they take over its code, and it is optimised and made
+machine code as a part of them. Only what Python calls is a function of its own, and is cached.
+
 The cache lies beside the sources, in the user's cache folder where that cannot be written, in a private folder below
 the temporary one where that cannot be written either, and nowhere if nothing can be written.
 """
@@ -11,6 +14,7 @@ the temporary one where that cannot be written either, and nowhere if nothing ca
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import re
 import stat
@@ -23,10 +27,16 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 from warnings import warn
 
-import numba
-from numba.core import caching
+from llvmlite.binding import Linkage
+from numba.core import caching, config, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Flags, compile_extra
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import CPUDispatcher
+from numba.core.sigutils import normalize_signature
+from numba.core.typing.templates import make_concrete_template
 from numba.misc.appdirs import AppDirs
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -92,12 +102,12 @@ class _InTemporaryFolder(caching._SourceFileBackedLocatorMixin, caching._CacheLo
 
     def get_cache_path(self) -> str:
         """The folder. Raises `OSError` if there is no temporary folder."""
-        return str(self._private() / self.get_suitable_cache_subpath(self._py_file))  # type: ignore[no-untyped-call]
+        return str(self._private() / self.get_suitable_cache_subpath(self._py_file))
 
     def ensure_cache_path(self) -> None:
         """Make the folder. Raises `OSError` if it cannot be made, or is not private."""
         _make_private(self._private())
-        super().ensure_cache_path()  # type: ignore[no-untyped-call]
+        super().ensure_cache_path()
 
     @staticmethod
     def _private() -> Path:
@@ -116,7 +126,7 @@ def _places() -> list[Any]:
     """Where a cache may lie, the best place first: numba's own places, and the temporary folder."""
     # Without a home numba would make a folder of the name ~ wherever a process happens to start, and trust what is
     # there.
-    has_home = os.path.isabs(AppDirs("numba", False).user_cache_dir)  # type: ignore[no-untyped-call]
+    has_home = os.path.isabs(AppDirs("numba", False).user_cache_dir)
     places = [
         place for place in CompileResultCacheImpl._locator_classes if has_home or "UserWide" not in place.__name__
     ]
@@ -134,7 +144,7 @@ class _NamedBySources(CompileResultCacheImpl):
 
     def get_filename_base(self, fullname: str, abiflags: str) -> str:
         """Beginning of the names of a kernel's files."""
-        name = super().get_filename_base(fullname, abiflags)  # type: ignore[no-untyped-call]
+        name = super().get_filename_base(fullname, abiflags)
         return f"{name}-{SOURCES}"
 
 
@@ -146,13 +156,13 @@ class _Cache(FunctionCache):
     def load_overload(self, sig: object, target_context: object) -> object:
         """What was compiled for a signature; None if it is not there, or damaged."""
         try:
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            return super().load_overload(sig, target_context)
         except OSError:
             return None
         except Exception:
             # A file that a power cut or a full disk left: pickle and LLVM have errors of any kind for it.
             with suppress(OSError):
-                self.flush()  # type: ignore[no-untyped-call]
+                self.flush()
             return None
 
     def save_overload(self, sig: object, data: object) -> None:
@@ -162,7 +172,7 @@ class _Cache(FunctionCache):
             return
         try:
             _drop_others(self.cache_path)
-            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+            super().save_overload(sig, data)
         except OSError as error:
             _say_not_stored(f"{self.cache_path}: {error.strerror or error}")
         else:
@@ -189,6 +199,89 @@ def _drop_others(folder: str) -> None:
                 path.unlink()
 
 
+class _InnerCode(JITCodeLibrary):
+    """The code of a kernel for kernels that call it: as it was written, with that of all kernels that it calls."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def finalize(self) -> None:
+        """Take over the code of the kernels that are called."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            # Several callers of one caller bring it along, which counts as one; it goes where it was inlined.
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = Linkage.linkonce_odr
+        self._shared_module, self._finalized = self._final_module, True
+
+
+class _Kernel(CPUDispatcher):
+    """A kernel: for Python numba's dispatcher; for other kernels it has the types of what comes back, and its code.
+
+    Whole numbers that stand in a call are numbers of any value to a kernel, or it would be compiled for each of them.
+    """
+
+    # numba's type annotations leave these out.
+    targetctx: Any
+    _cache: Any
+    _compiler: Any
+
+    def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
+        super().__init__(function, locals, targetoptions)
+        self._inner = dict[tuple[Any, ...], Any]()
+
+    def compile(self, sig: Any) -> Any:
+        """The function of Python for a signature."""
+        args, _ = normalize_signature(sig)
+        if tuple(args) in self.overloads:
+            return super().compile(sig)
+        # A compiler makes millions of objects and keeps them; to look through them for garbage again and again takes
+        # an eighth of the time.
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            compiled = super().compile(sig)
+        finally:
+            if collects:
+                gc.enable()
+        # The environments of kernels whose code was taken over.
+        codegen = self.targetctx.codegen()
+        for environment in self.overloads[tuple(args)]._find_referenced_environments():
+            codegen.set_env(environment.env_name, environment)
+        return compiled
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """What a call in another kernel gives: a template of it with its signature, the function's own signature, and
+        the types of all arguments."""
+        function, args = self._compiler.fold_argument_types(args, kws)
+        args, name = tuple(types.unliteral(arg) for arg in args), self.py_func.__name__
+        signatures = [self._for_kernels(args).signature]
+        template = make_concrete_template(f"CallTemplate({name})", key=name, signatures=signatures)
+        return template, function, args, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """The name of the code for a signature under which `targetctx` has it."""
+        args, _ = normalize_signature(sig)
+        return self._for_kernels(tuple(args)).entry_point
+
+    def _for_kernels(self, args: tuple[Any, ...]) -> Any:
+        """The code that other kernels call for arguments of some types."""
+        known = self.overloads.get(args) or self._inner.get(args)
+        if known is not None:
+            return known
+        flags: Any = Flags()
+        self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
+        flags.no_compile = flags.no_cpython_wrapper = True
+        with global_compiler_lock, self._compiling_counter:
+            code = _InnerCode(self.targetctx.codegen(), self.py_func.__qualname__)
+            result = compile_extra(self.typingctx, self.targetctx, self.py_func, args, None, flags, self.locals, code)
+            result = result._replace(entry_point=(self, args))
+            self.targetctx.insert_user_function(result.entry_point, result.fndesc, [code])
+        return self._inner.setdefault(args, result)
+
+
 def compiled(
     *, allocates: bool = True, inline: str = "never", forceinline: bool = False, nogil: bool = False
 ) -> Callable[[F], Dispatcher[F]]:
@@ -205,19 +298,19 @@ def compiled(
     Without an error model of its own a kernel would take over that of whichever kernel called it first. A wrapper for
     callers in C is left out: nobody calls kernels from there, and it takes a tenth of the time of compiling.
     """
-    # numba's type annotations do not know `no_cfunc_wrapper`.
-    njit: Any = numba.njit
     options = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": allocates}
     options |= {"inline": inline, "forceinline": forceinline, "nogil": nogil}
 
     def decorated(function: F) -> Dispatcher[F]:
-        kernel: Any = njit(**options)(function)
-        # As `cache=True` does, with our names. With NUMBA_DISABLE_JIT the function comes back as it is.
-        if isinstance(kernel, Dispatcher):
-            try:
-                kernel._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
-            except RuntimeError:
-                _say_not_stored("no folder for them can be written")
+        if config.DISABLE_JIT:  # type: ignore[attr-defined]
+            return cast("Dispatcher[F]", function)
+        # As `njit` does.
+        kernel = _Kernel(function, targetoptions={"nopython": True, "boundscheck": None} | options)
+        # As `cache=True` does, with our names.
+        try:
+            kernel._cache = _Cache(function)
+        except RuntimeError:
+            _say_not_stored("no folder for them can be written")
         return cast("Dispatcher[F]", kernel)
 
     return decorated

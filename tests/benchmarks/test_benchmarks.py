@@ -13,7 +13,17 @@ from subprocess import CalledProcessError
 
 import numpy as np
 import pytest
-from benchmarks import acceptance, detector, devices, evidence, large_datasets, loaders, long_builds, scaling
+from benchmarks import (
+    acceptance,
+    detector,
+    devices,
+    evidence,
+    first_scene,
+    large_datasets,
+    loaders,
+    long_builds,
+    scaling,
+)
 from benchmarks.hard_scenes import hard
 from damage import SCENES, sample, small_dataset
 from datasets import write_dataset
@@ -55,6 +65,12 @@ def test_a_large_dataset_is_a_whole_one(monkeypatch: pytest.MonkeyPatch, tmp_pat
     large_datasets.copied(config, tmp_path / "few", tmp_path / "many")
     assert verify(tmp_path / "many", deep=True).problems == ()
     assert len(large_datasets.one_of_every_shard(str(tmp_path / "many"))) == 16 and large_datasets.own_mb() > 10
+
+
+def test_the_second_process_finds_what_the_first_one_compiled() -> None:
+    program = "from datagen.compiled import first_use; first_use()"
+    first, second, stored = first_scene.measured(program, "")
+    assert first > 0.0 and second > 0.0 and stored == 1
 
 
 def rich_sample(config: DatasetConfig, index: int) -> Sample:

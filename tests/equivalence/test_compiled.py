@@ -1,8 +1,9 @@
-"""Compiled kernels divide as numpy does, whatever calls them, and are cached where files can be written, as long as
-no source changes."""
+"""Compiled kernels divide as numpy does, whatever calls them, are compiled once, and are cached where files can be
+written, as long as no source changes."""
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -11,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, types
+from numba.core.errors import TypingError
 
 from datagen.compiled import _make_private, compiled
 
@@ -30,6 +32,54 @@ def ratio_for_another(a, b):  # type: ignore[no-untyped-def]
 
 def test_division_by_zero_does_not_hang_on_who_calls() -> None:
     assert ratio_for_another(1.0, 0.0) == np.inf == ratio(1.0, 0.0)
+
+
+@compiled(allocates=False)
+def root(x):  # type: ignore[no-untyped-def]
+    if x < 0:
+        raise ValueError("no root")
+    return np.sqrt(x)
+
+
+@compiled()
+def roots(x):  # type: ignore[no-untyped-def]
+    return root(4) + root(9) + root(x)
+
+
+@compiled()
+def rooted(x):  # type: ignore[no-untyped-def]
+    return roots(x)
+
+
+@njit
+def roots_for_another(x):  # type: ignore[no-untyped-def]
+    return rooted(x)
+
+
+def test_kernels_that_kernels_call_are_compiled_once_as_a_part_of_them() -> None:
+    """Whatever whole numbers stand in the calls. Python may call each of them all the same, before or after."""
+    assert rooted(16) == 9.0
+    assert (len(rooted.signatures), len(roots.signatures), len(root.signatures)) == (1, 0, 0)
+    assert list(root._inner) == [(types.int64,)]  # type: ignore[attr-defined]
+    assert root(25) == 5.0 and root(6.25) == 2.5 and roots(16) == roots_for_another(16) == rooted(16) == 9.0
+    for kernel in (root, roots, rooted, roots_for_another):
+        with pytest.raises(ValueError, match="no root"):
+            kernel(-1)
+    assert root.py_func(4.0) == 2.0
+
+
+def test_garbage_is_collected_again_after_compiling() -> None:
+    ratio(1, 2)
+    assert gc.isenabled()
+    with pytest.raises(TypingError):
+        ratio("1", 2)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        ratio(np.float32(1), 2)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
 
 
 PRINTED = """
