@@ -19,8 +19,8 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -199,6 +199,23 @@ def _drop_others(folder: str) -> None:
                 path.unlink()
 
 
+@contextmanager
+def _no_collection_of_garbage() -> Iterator[None]:
+    """A compiler makes millions of objects and keeps them: looking through them for garbage, again and again, would
+    take an eighth of its time, and once more at the end, if they did not count as old."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            # What others have frozen stays so.
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
+            gc.enable()
+
+
 class _InnerCode(JITCodeLibrary):
     """The code of a kernel for kernels that call it: as it was written, with that of all kernels that it calls."""
 
@@ -217,6 +234,23 @@ class _InnerCode(JITCodeLibrary):
         self._shared_module, self._finalized = self._final_module, True
 
 
+class _Flags(Flags):
+    """Options of a kernel, equal to others under which numba compiles functions of its own to the same code.
+
+    numba looks such functions up by the options of the kernel that calls them, some thousand times for a kernel.
+    """
+
+    def __hash__(self) -> int:
+        return hash(self._inherited())
+
+    def __eq__(self, other: object) -> bool:
+        return self._inherited() == other._inherited() if isinstance(other, _Flags) else NotImplemented
+
+    def _inherited(self) -> tuple[object, ...]:
+        values: Any = self._values
+        return tuple(values.get(name) for name in ("nrt", "error_model", "forceinline"))
+
+
 class _Kernel(CPUDispatcher):
     """A kernel: for Python numba's dispatcher; for other kernels it has the types of what comes back, and its code.
 
@@ -230,6 +264,7 @@ class _Kernel(CPUDispatcher):
 
     def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(function, locals, targetoptions)
+        self._compiler._customize_flags = _Flags
         self._inner = dict[tuple[Any, ...], Any]()
 
     def compile(self, sig: Any) -> Any:
@@ -237,15 +272,8 @@ class _Kernel(CPUDispatcher):
         args, _ = normalize_signature(sig)
         if tuple(args) in self.overloads:
             return super().compile(sig)
-        # A compiler makes millions of objects and keeps them; to look through them for garbage again and again takes
-        # an eighth of the time.
-        collects = gc.isenabled()
-        gc.disable()
-        try:
+        with _no_collection_of_garbage():
             compiled = super().compile(sig)
-        finally:
-            if collects:
-                gc.enable()
         # The environments of kernels whose code was taken over.
         codegen = self.targetctx.codegen()
         for environment in self.overloads[tuple(args)]._find_referenced_environments():
@@ -271,7 +299,7 @@ class _Kernel(CPUDispatcher):
         known = self.overloads.get(args) or self._inner.get(args)
         if known is not None:
             return known
-        flags: Any = Flags()
+        flags: Any = _Flags()
         self.targetdescr.options.parse_as_flags(flags, self.targetoptions)
         flags.no_compile = flags.no_cpython_wrapper = True
         with global_compiler_lock, self._compiling_counter:

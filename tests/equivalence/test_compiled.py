@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import njit, types
+from numba.core import event
 from numba.core.errors import TypingError
 
 from datagen.compiled import _make_private, compiled
@@ -66,6 +67,23 @@ def test_kernels_that_kernels_call_are_compiled_once_as_a_part_of_them() -> None
         with pytest.raises(ValueError, match="no root"):
             kernel(-1)
     assert root.py_func(4.0) == 2.0
+
+
+@compiled(nogil=True)
+def at_least_zero(x):  # type: ignore[no-untyped-def]
+    return max(x, np.float32(0.0))
+
+
+@compiled()
+def at_least_once(x):  # type: ignore[no-untyped-def]
+    return max(at_least_zero(x), np.float32(1.0))
+
+
+def test_what_a_kernel_needs_of_numba_is_compiled_once_for_all_kernels() -> None:
+    with event.install_recorder("numba:compile") as recorder:  # type: ignore[no-untyped-call]
+        assert at_least_once(np.float32(0.5)) == 1.0 and at_least_zero(np.float32(-1.0)) == 0.0
+    names = [what.data["dispatcher"].py_func.__qualname__ for _, what in recorder.buffer if what.is_start]
+    assert names == ["at_least_once", "ol_max.<locals>.impl", "at_least_zero"]
 
 
 def test_garbage_is_collected_again_after_compiling() -> None:
