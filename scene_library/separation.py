@@ -39,7 +39,7 @@ def stays_clear(footprint: Floats, triangles: Floats, margin_m: float) -> bool:
     return True
 
 
-@compiled()
+@compiled(allocates=False)
 def _along_normals(a: Floats, b: Floats) -> float:
     """The largest gap between the two along a normal of an edge of `a`; an edge without length has none."""
     best = -np.inf
@@ -56,7 +56,7 @@ def _along_normals(a: Floats, b: Floats) -> float:
     return best
 
 
-@compiled()
+@compiled(allocates=False)
 def _extent(polygon: Floats, x: float, y: float) -> tuple[float, float]:
     low, high = np.inf, -np.inf
     for corner in polygon:

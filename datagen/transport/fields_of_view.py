@@ -102,7 +102,8 @@ def fov_points(
 
     each : number M of points that together stand for a whole pixel.
     """
-    direction, jacobian = _lines_of_sight(uv, sensor.pixels[pixels] - sensor.position)
+    direction, jacobian = np.empty((*uv.shape[:2], 3)), np.empty(uv.shape[:2])
+    _set_lines_of_sight(uv, sensor.pixels[pixels] - sensor.position, direction, jacobian)
     hits = caster.closest(sensor.position, direction.reshape(-1, 3))
     if sensor.footprints is not None:
         jacobian *= sensitivity(sensor.footprints, pixels[:, None], uv)
@@ -174,62 +175,61 @@ def _pool(
     sensor: Sensor, position: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats,
     solid_angle: Floats, each: int,
 ) -> FovPool:  # fmt: skip
-    """FoV points from where lines of sight met something, as `_seen_points` describes it."""
-    position, weight, footprint, distance = _seen_points(
+    """FoV points from where lines of sight met something, as `_set_seen` describes it."""
+    # Each numpy function that a kernel calls is compiled with it, so arrays are made here.
+    position, weight, footprint, distance = position.copy(), *np.empty((3, *part.shape))
+    _set_seen(
         position, normal, part, direction, jacobian, sensor.position, solid_angle, sensor.aperture_area_m2,
-        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each,
+        sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, each, weight, footprint, distance,
     )  # fmt: skip
     np.negative(direction, out=direction)
     return FovPool(position, normal, direction, part, weight, footprint, distance)
 
 
-@compiled()
-def _lines_of_sight(uv: Floats, corner: Floats) -> tuple[Floats, Floats]:
-    """Unit directions (P, Q, 3) from the sensor through points of the pixels, and solid angles J = dΩ/(du dv) (P, Q).
+@compiled(allocates=False)
+def _set_lines_of_sight(uv: Floats, corner: Floats, direction: Floats, jacobian: Floats) -> None:
+    """Set unit directions (P, Q, 3) from the sensor through points of the pixels, and solid angles J = dΩ/(du dv)
+    (P, Q).
 
     uv : (P, Q, 2) coordinates of the points. corner : (P, 4, 3) corners of the pixels, relative to the sensor.
     """
-    direction, jacobian = np.empty((uv.shape[0], uv.shape[1], 3)), np.empty((uv.shape[0], uv.shape[1]))
-    w, along_u, along_v = np.empty(3), np.empty(3), np.empty(3)
     for p in range(len(uv)):
         for q in range(uv.shape[1]):
             u, v = uv[p, q, 0], uv[p, q, 1]
-            square = 0.0
             # The point w(u, v) between the four corners, and its derivatives along u and v.
-            for k in range(3):
-                a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
-                w[k] = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-                along_u[k] = (1 - v) * (b - a) + v * (c - d)
-                along_v[k] = (1 - u) * (d - a) + u * (c - b)
-                square += w[k] * w[k]
+            x, xu, xv = _between(corner, p, 0, u, v)
+            y, yu, yv = _between(corner, p, 1, u, v)
+            z, zu, zv = _between(corner, p, 2, u, v)
+            square = x * x + y * y + z * z
             length = math.sqrt(square)
             # J = |w · (∂w/∂u × ∂w/∂v)| / |w|³: the area of the quadrilateral for each unit of uv, seen from the
             # sensor.
-            volume = (
-                w[0] * (along_u[1] * along_v[2] - along_u[2] * along_v[1])
-                + w[1] * (along_u[2] * along_v[0] - along_u[0] * along_v[2])
-                + w[2] * (along_u[0] * along_v[1] - along_u[1] * along_v[0])
-            )
+            volume = x * (yu * zv - zu * yv) + y * (zu * xv - xu * zv) + z * (xu * yv - yu * xv)
             jacobian[p, q] = abs(volume) / (square * length)
-            for k in range(3):
-                direction[p, q, k] = w[k] / length
-    return direction, jacobian
+            direction[p, q, 0], direction[p, q, 1], direction[p, q, 2] = x / length, y / length, z / length
 
 
-@compiled()
-def _seen_points(
-    found: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
+@compiled(allocates=False)
+def _between(corner: Floats, p: int, k: int, u: float, v: float) -> tuple[float, float, float]:
+    """Coordinate k of the point (u, v) between the four corners of pixel p, and its derivatives along u and v."""
+    a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
+    place = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
+    return place, (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)
+
+
+@compiled(allocates=False)
+def _set_seen(
+    position: Floats, normal: Floats, part: Ints, direction: Floats, jacobian: Floats, sensor: Floats,
     solid_angle: Floats, aperture_area: float, aperture_square: float, points_per_vertex: int,
-) -> tuple[Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Position, weight, footprint and distance of each FoV point, as in `FovPool`.
+    weight: Floats, footprint: Floats, distance: Floats,
+) -> None:  # fmt: skip
+    """Set position, where nothing was met, and weight, footprint and distance of each FoV point, as in `FovPool`.
 
     `part` is set to −1 for surfaces that face away. The effective area A of the aperture in f₃ E₃ A dΩ is that of a
     small aperture, or of a disc of finite size that faces the point (`aperture_square` > 0). From a point at distance
     R a facing disc of radius a fills a cone of sin²α = a²/(R² + a²), over which ∫ cosθ dω = π sin²α cosθ₀ exactly:
     the small-aperture value π a²/R² becomes π a²/(R² + a²).
     """
-    weight, footprint, distance = np.zeros(part.shape), np.ones(part.shape), np.empty(part.shape)
-    position = found.copy()
     for p in range(len(part)):
         for q in range(part.shape[1]):
             cosine = square = 0.0
@@ -242,9 +242,8 @@ def _seen_points(
             distance[p, q] = math.sqrt(square)
             # Seen edge-on, a patch of wall of any size could lie behind the point's solid angle.
             if part[p, q] < 0 or cosine <= 0.0:
-                part[p, q] = -1
+                part[p, q], weight[p, q], footprint[p, q] = -1, 0.0, 1.0
                 continue
             effective = aperture_area * square / (square + aperture_square)
             weight[p, q] = effective * jacobian[p, q] / points_per_vertex
             footprint[p, q] = solid_angle[p] * square / (cosine * points_per_vertex)
-    return position, weight, footprint, distance

@@ -83,7 +83,9 @@ class Raycaster:
         face = np.empty(len(directions), np.int32)
         for batch in in_calls(len(directions), 8):
             face[batch] = self.closest_scaled(self._scaled(starts[batch]), directions[batch].astype(np.float32))
-        return Hits(face, *_refine(face, origins, directions, self.corners, self.face_normal))
+        position, normal = np.empty((2, len(face), 3))
+        _refine(face, origins, directions, self.corners, self.face_normal, position, normal)
+        return Hits(face, position, normal)
 
     def closest_scaled(self, origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int32]:
         """First triangle along rays already in embree's unit frame, −1 for none; origins, directions (n, 3)."""
@@ -128,13 +130,12 @@ def write_shadow_ray(origin, span, k, a, b):  # type: ignore[no-untyped-def]
     put(span, k, 0, subtract(b, a))
 
 
-@compiled()
+@compiled(allocates=False)
 def _refine(
-    face: NDArray[np.int32], origins: Floats, directions: Floats, corners: Floats, face_normal: Floats
-) -> tuple[Floats, Floats]:
-    """Positions and facing normals in double; a hit edge-on, where the plane gives no distance, becomes no hit."""
-    position = np.empty((len(face), 3))
-    normal = np.empty((len(face), 3))
+    face: NDArray[np.int32], origins: Floats, directions: Floats, corners: Floats, face_normal: Floats,
+    position: Floats, normal: Floats,
+) -> None:  # fmt: skip
+    """Set positions and facing normals in double; a hit edge-on, where the plane gives no distance, becomes none."""
     for i in range(len(face)):
         f = face[i]
         # Zeros rather than what happens to be in memory, so that results repeat.
@@ -157,4 +158,3 @@ def _refine(
         for k in range(3):
             position[i, k] = origins[i, k] + distance * directions[i, k]
             normal[i, k] = sign * face_normal[f, k]
-    return position, normal

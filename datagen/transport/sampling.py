@@ -158,13 +158,14 @@ def stream_seeds(seed: int, *coordinates: NDArray[np.integer] | int) -> NDArray[
     The coordinates are broadcast against each other; the result is flat.
     """
     broadcast = np.broadcast_arrays(*[np.asarray(c, np.uint64) for c in coordinates])
-    return _hash_all(np.uint64(seed), np.stack([c.ravel() for c in broadcast], axis=1))
+    out = np.empty(broadcast[0].size, np.uint64)
+    _hash_all(np.uint64(seed), np.stack([c.ravel() for c in broadcast], axis=1), out)
+    return out
 
 
-@compiled()
-def _hash_all(seed: np.uint64, coordinates: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """(n,) 32-bit hashes of `seed` and each row of coordinates (n, k)."""
-    out = np.empty(len(coordinates), np.uint64)
+@compiled(allocates=False)
+def _hash_all(seed: np.uint64, coordinates: NDArray[np.uint64], out: NDArray[np.uint64]) -> None:
+    """Write 32-bit hashes of `seed` and each row of coordinates (n, k) to out (n,)."""
     start = (mix(seed >> np.uint64(32), np.uint64(1)) << np.uint64(32)) | mix(seed & _WORD, np.uint64(2))
     for i in range(len(coordinates)):
         h = start
@@ -172,4 +173,3 @@ def _hash_all(seed: np.uint64, coordinates: NDArray[np.uint64]) -> NDArray[np.ui
             # Two hashes at each step keep 64 bits of state, so that few of many rows share a seed.
             h = (mix(h, coordinates[i, k]) << np.uint64(32)) | mix(h + np.uint64(k + 1), ~coordinates[i, k])
         out[i] = h >> np.uint64(32)
-    return out
