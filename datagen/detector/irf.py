@@ -128,7 +128,11 @@ def spread(values: Floats, kernel: Kernel) -> Floats:
     length = values.shape[-1] + len(kernel.weights) - 1
     if len(kernel.weights) <= LONGEST_DIRECT:
         rows = np.ascontiguousarray(values.reshape(-1, values.shape[-1]))
-        return _convolved(rows, kernel.weights).reshape(*values.shape[:-1], length)
+        # Each numpy function that a kernel calls is compiled with it, so arrays are made here.
+        beside, out = np.zeros(len(kernel.weights) + 6), np.zeros((len(rows), length))
+        beside[3:-3] = kernel.weights
+        _add_responses(rows, beside, out)
+        return out.reshape(*values.shape[:-1], length)
     size = scipy.fft.next_fast_len(length, real=True)
     spectrum = scipy.fft.rfft(values, size) * scipy.fft.rfft(kernel.weights, size)
     full = np.maximum(scipy.fft.irfft(spectrum, size)[..., :length], 0.0)
@@ -136,30 +140,17 @@ def spread(values: Floats, kernel: Kernel) -> Floats:
     return np.asarray(full * np.divide(wanted, total, out=np.zeros_like(total), where=total > 0), np.float64)
 
 
-@compiled()
-def _convolved(values: Floats, weights: Floats) -> Floats:
-    """(h, n + k − 1) convolution of each row of values (h, n) with weights (k,)."""
-    out = np.zeros((len(values), values.shape[1] + len(weights) - 1))
-    beside = padded(weights)
-    for r in range(len(values)):
-        add_response(values[r], beside, out[r])
-    return out
+@compiled(allocates=False)
+def _add_responses(rows: Floats, beside: Floats, out: Floats) -> None:
+    """Add the responses to rows (h, n) to `out` (h, n + k − 1); `beside` (k + 6,) holds the k taps, with three zeros
+    on either side."""
+    for r in range(len(rows)):
+        _add_response(rows[r], beside, out[r])
 
 
-@compiled()
-def padded(weights: Floats) -> Floats:
-    """(k + 6,) the weights (k,) with three zeros on either side, as `add_response` needs them."""
-    # Here and elsewhere arrays are copied in loops: for an assignment of a slice numba compiles a check of the
-    # shapes, which takes two seconds.
-    w = np.zeros(len(weights) + 6)
-    for k in range(len(weights)):
-        w[k + 3] = weights[k]
-    return w
-
-
-@compiled()
-def add_response(row: Floats, beside: Floats, out: Floats) -> None:
-    """Add the responses to a row of n bins to `out` of n + k − 1 bins; `beside` holds the k taps (`padded`).
+@compiled(allocates=False)
+def _add_response(row: Floats, beside: Floats, out: Floats) -> None:
+    """Add the responses to a row of n bins to `out` of n + k − 1 bins.
 
     Four bins are added in one pass, which reads and writes `out` a quarter as often; four empty ones are skipped.
     """

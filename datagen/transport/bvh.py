@@ -64,13 +64,14 @@ class Hierarchy(NamedTuple):
         """The BVH of a scene, built in time nearly linear in its triangles."""
         low, high = scene.corners.min(axis=1), scene.corners.max(axis=1)
         orders, boxes, children, spans, roots = [], [], [], [], np.empty(len(scene.part_names), np.int64)
+        # Each numpy function that a kernel calls is compiled with it: arrays are made, and joined, here.
+        members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS + 1, 6)), np.empty(BINS)
         triangles = count = 0
         for part in range(len(roots)):
             faces = np.flatnonzero(scene.face_part == part)
-            # Each numpy function that a kernel calls is compiled with it: those that make and join arrays stay here.
             own, most = np.arange(len(faces)), max(2 * len(faces), 1)
             box, link = np.empty((most, 6)), np.zeros((most, 4), np.int64)
-            n = _divide(low[faces], high[faces], own, box, link)
+            n = _divide(low[faces], high[faces], own, box, link, np.empty_like(own), members, bounds, cost)
             roots[part] = count
             orders.append(faces[own])
             boxes.append(box[:n])
@@ -83,26 +84,27 @@ class Hierarchy(NamedTuple):
         doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(doubled, axis=1)
         normal, area = doubled / length[:, None], np.concatenate([[0.0], np.cumsum(length / 2)])
+        cone = np.empty((len(span), 4))
+        _set_cones(normal, area, span, cone)
         return cls(
-            corners, normal, area, order, np.concatenate(boxes), np.concatenate(children), span,
-            _cones(normal, area, span), roots, float(np.ptp(scene.vertices, axis=0).max()),
+            corners, normal, area, order, np.concatenate(boxes), np.concatenate(children), span, cone, roots,
+            float(np.ptp(scene.vertices, axis=0).max()),
         )  # fmt: skip
 
 
-@compiled()
-def _divide(low, high, order, box, link):  # type: ignore[no-untyped-def]
+@compiled(allocates=False)
+def _divide(low, high, order, box, link, spare, members, bounds, cost):  # type: ignore[no-untyped-def]
     """Number of boxes; the arguments that follow are set.
 
     low, high : (F, 3) lowest and highest corners of the triangles' own boxes, metres. order : (F,) 0 … F − 1, put in
     order. box : (2 F, 6) corners of the boxes. link : (2 F, 4) zeros; set to the index of a box's lower half, or −1;
-    to the range of its triangles in `order`; and to the number of boxes that contain it.
+    to the range of its triangles in `order`; and to the number of boxes that contain it. spare (F,), members (BINS,),
+    bounds (BINS + 1, 6), cost (BINS,) : room for what is computed of the bins.
 
     A box is divided where the sum, over both halves, of the number of triangles times the area of their box is least:
     that area is proportional to the probability that a line meets the half.
     """
     link[0, 2], n, k = len(low), 1, 0
-    spare = np.empty(len(low), np.int64)
-    members, bounds, cost = np.empty(BINS, np.int64), np.empty((BINS, 6)), np.empty(BINS)
     # Boxes k … n − 1 still have to be measured and divided; a divided box adds its halves at the end.
     while k < n:
         link[k, 0], first, last = -1, link[k, 1], link[k, 2]
@@ -157,7 +159,7 @@ def _divide(low, high, order, box, link):  # type: ignore[no-untyped-def]
     return n
 
 
-@compiled()
+@compiled(allocates=False)
 def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     """Index of the bin, along an axis, of the middle of triangle f.
 
@@ -169,21 +171,22 @@ def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
     return min(int((low[f, axis] + high[f, axis] - smallest) / largest * BINS), BINS - 1)
 
 
-@compiled()
+@compiled(allocates=False)
 def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     """Add to `cost` (BINS,), for the cut below each bin, the number of triangles times the area of the box about them
     on one side of the cut: the lower side for step 1, the upper side for step −1.
 
-    members : (BINS,) number of triangles in each bin. bounds : (BINS, 6) lowest and highest corner of their box.
+    members : (BINS,) number of triangles in each bin. bounds : (BINS + 1, 6) lowest and highest corner of their box,
+    and a last row for the box about those met so far.
     """
     total = 0
-    low, high = np.empty(3), np.empty(3)
+    about = bounds[BINS]
     for j in range(3):
-        low[j], high[j] = np.inf, -np.inf
+        about[j], about[3 + j] = np.inf, -np.inf
     for turn in range(BINS):
         m = turn if step > 0 else BINS - 1 - turn
         cut = m if step > 0 else m + 1
-        a, b, c = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+        a, b, c = about[3] - about[0], about[4] - about[1], about[5] - about[2]
         if 0 < cut < BINS and total > 0:
             cost[cut] += total * (a * b + b * c + c * a)
         elif 0 < cut < BINS:
@@ -191,17 +194,16 @@ def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
             cost[cut] += np.inf
         total += members[m]
         for j in range(3):
-            low[j], high[j] = min(low[j], bounds[m, j]), max(high[j], bounds[m, 3 + j])
+            about[j], about[3 + j] = min(about[j], bounds[m, j]), max(about[3 + j], bounds[m, 3 + j])
 
 
-@compiled()
-def _cones(normal, area, span):  # type: ignore[no-untyped-def]
-    """(N, 4) the field `cone` of `Hierarchy`: mean normal of each box's triangles, weighted by area, and the least
-    cosine of a normal with it.
+@compiled(allocates=False)
+def _set_cones(normal, area, span, cone):  # type: ignore[no-untyped-def]
+    """Set the field `cone` (N, 4) of `Hierarchy`: mean normal of each box's triangles, weighted by area, and the
+    least cosine of a normal with it.
 
     normal : (F, 3) unit normals. area : (F + 1,) running sum of areas, m². span : (N, 2) triangles of each box.
     """
-    cone = np.empty((len(span), 4))
     for k in range(len(span)):
         for j in range(3):
             cone[k, j] = 0.0
@@ -216,10 +218,9 @@ def _cones(normal, area, span):  # type: ignore[no-untyped-def]
         for f in range(span[k, 0], span[k, 1]):
             cosine = cone[k, 0] * normal[f, 0] + cone[k, 1] * normal[f, 1] + cone[k, 2] * normal[f, 2]
             cone[k, 3] = min(cone[k, 3], cosine)
-    return cone
 
 
-@compiled()
+@compiled(allocates=False)
 def triangle_by_area(first, last, area_before, word):  # type: ignore[no-untyped-def]
     """Index of one of the triangles first … last − 1, drawn with a probability proportional to its area.
 
