@@ -225,7 +225,6 @@ class _InnerCode(JITCodeLibrary):
     def finalize(self) -> None:
         """Take over the code of the kernels that are called."""
         for library in dict.fromkeys(self._linking_libraries):
-            self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         for function in self._final_module.functions:
             # Several callers of one caller bring it along, which counts as one; it goes where it was inlined.
@@ -263,7 +262,7 @@ class _Kernel(CPUDispatcher):
     _compiler: Any
 
     def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
-        super().__init__(function, locals, targetoptions)
+        super().__init__(function, locals or {}, targetoptions)
         self._compiler._customize_flags = _Flags
         self._inner = dict[tuple[Any, ...], Any]()
 

@@ -83,7 +83,7 @@ def test_what_a_kernel_needs_of_numba_is_compiled_once_for_all_kernels() -> None
     with event.install_recorder("numba:compile") as recorder:  # type: ignore[no-untyped-call]
         assert at_least_once(np.float32(0.5)) == 1.0 and at_least_zero(np.float32(-1.0)) == 0.0
     names = [what.data["dispatcher"].py_func.__qualname__ for _, what in recorder.buffer if what.is_start]
-    assert names == ["at_least_once", "ol_max.<locals>.impl", "at_least_zero"]
+    assert names[0] == "at_least_once" and names[-1] == "at_least_zero" and len(names) == len(set(names))
 
 
 def test_garbage_is_collected_again_after_compiling() -> None:
