@@ -1,8 +1,10 @@
-"""Time bins of an element's light, exact for a triangle over which arrival time and weight vary linearly.
+"""Light of an element over arrival times: of a triangle whose parts have linear times and weights, spread over the
+times of a flat cluster of FoV points.
 
-The share of light that has arrived by time t has a closed form: up to the time of the middle vertex, the part of the
-triangle that has arrived is a smaller triangle at the earliest vertex; after it, the part that is still to come is a
-smaller triangle at the latest vertex.
+The light of a part that has arrived by time t is a sum of B-splines whose knots are the times at its corners, one of
+them twice; that of all parts is a cubic polynomial between any two corners. Its fourth differences are four numbers
+for each corner, wherever in its bin that is, and three running sums of them are the light of each bin: a triangle
+costs its corners and its bins, however many parts it has.
 """
 
 from __future__ import annotations
@@ -12,85 +14,188 @@ import math
 import numpy as np
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
+
+LEVELS, FINEST = 3, 2
+"""Most times that a triangle is quartered, and that a bin is halved."""
+TIE, TIED, TILT = 1e-4, 0.05, (0.62, -0.38)
+"""Corners of a part need times of their own: those of a triangle are tilted, along its two sides, by this share of
+their span, at least so many bins."""
+APART = 1e-12
+"""Bins between corners that are at one time in spite of it, and that are divided by at least."""
 
 
-@compiled(allocates=False)
-def tent(
-    a: float, b: float, c: float, at_a: float, at_b: float, at_c: float, energy: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """The times of a triangle's vertices in order, a ≤ b ≤ c, and the numbers low, up, high and down.
+def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
+    """How a triangle is divided into 4^level equal parts: for each level the number of their corners; where corners
+    lie (n, 2), as shares of the ways to the second and third corner of the triangle; the two (n, 2) in the middle
+    between which each lies; and the corners of each part (LEVELS + 1, 4^LEVELS, 3). Corners of a coarser level come
+    first, in the same order."""
+    counts, where, between = list[int](), {(0.0, 0.0): 0, (1.0, 0.0): 1, (0.0, 1.0): 2}, [(0, 0), (1, 1), (2, 2)]
+    parts = np.zeros((LEVELS + 1, 4**LEVELS, 3), np.int64)
+    for level in range(LEVELS + 1):
+        n = 2**level
+        every = [(i, j) for i in range(n + 1) for j in range(n + 1 - i) if (i / n, j / n) not in where]
+        where |= {(i / n, j / n): len(where) + k for k, (i, j) in enumerate(every)}
+        # Along one of the three directions in which sides run.
+        for i, j in every:
+            a, b = (1, -(j % 2)) if i % 2 else (0, 1)
+            between.append((where[(i - a) / n, (j - b) / n], where[(i + a) / n, (j + b) / n]))
+        # A part that stands upright, and the one beside it that is upside down.
+        of = [
+            (where[(i + down) / n, j / n], where[(i + 1) / n, (j + down) / n], where[i / n, (j + 1) / n])
+            for i in range(n) for j in range(n - i) for down in range(2 if j < n - i - 1 else 1)
+        ]  # fmt: skip
+        counts.append(len(where))
+        parts[level, : len(of)] = of
+    return tuple(counts), np.array(list(where)), np.array(between), parts
 
-    By time a + x ≤ b, x² (low + x · up) of the energy has arrived; at time c − x ≥ b, x² (high + x · down) is still
-    to come.
-    """
-    # Three exchanges without branches sort the vertices by time.
-    a, b, at_a, at_b = (b, a, at_b, at_a) if a > b else (a, b, at_a, at_b)
-    b, c, at_b, at_c = (c, b, at_c, at_b) if b > c else (b, c, at_b, at_c)
-    a, b, at_a, at_b = (b, a, at_b, at_a) if a > b else (a, b, at_a, at_b)
-    # Where all weights are zero, the energy comes from all of the triangle alike.
-    whole = (at_a + at_b + at_c) * (1.0 / 3.0)
-    at_a, at_b, at_c, whole = (1.0, 1.0, 1.0, 1.0) if whole <= 0.0 else (at_a, at_b, at_c, whole)
-    # Two vertices at one time leave one of the two smaller triangles empty.
-    early, late, of_all = 1.0 / (b - a), 1.0 / (c - b), 1.0 / (c - a)
-    early, late, scale = early if b > a else 0.0, late if c > b else 0.0, energy / whole * of_all
-    low, high = scale * early * at_a, scale * late * at_c
-    up = scale * early * ((at_b - at_a) * early + (at_c - at_a) * of_all) * (1.0 / 3.0)
-    down = scale * late * ((at_b - at_c) * late + (at_a - at_c) * of_all) * (1.0 / 3.0)
-    return a, b, c, low, up, high, down
+
+CORNERS, PLACES, BETWEEN, PARTS = _divided()
+"""Of a triangle's parts."""
 
 
 @compiled(forceinline=True, allocates=False)
-def _add(histogram, row, first, stop, at, by, square):  # type: ignore[no-untyped-def]
-    """Adds at + k by + k² square to the bins first + k of a row, up to `stop`."""
-    # Whole numbers of 32 bits become floats several at a time, and indices without a sign are taken as they are.
-    start, own = np.uint64(first), np.uint64(row)
-    for k in range(np.int32(stop - first)):
-        x = np.float64(k)
-        histogram[own, start + np.uint64(k)] += at + x * (by + x * square)
+def _set_knots(level, at, time, square, cube):  # type: ignore[no-untyped-def]
+    """Sets square and cube (CORNERS[-1],) so that Σ square (t − tᵥ)² + cube (t − tᵥ)³, over the corners v with times
+    tᵥ before t, is in proportion to the light that has arrived by t; returns what it is in the end."""
+    total = 0.0
+    for k in range(CORNERS[level]):
+        square[k], cube[k] = 0.0, 0.0
+    for part in range(1 << 2 * level):
+        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+        u, v, w = time[a] - time[b], time[b] - time[c], time[c] - time[a]
+        u, v, w = u if u != 0.0 else APART, v if v != 0.0 else APART, w if w != 0.0 else APART
+        of_all = 1.0 / (u * v * w)
+        u, v, w = v * w * of_all, w * u * of_all, u * v * of_all
+        of_a, of_b, of_c, at_a, at_b, at_c = -u * w, -u * v, -v * w, at[a], at[b], at[c]
+        square[a] += 3.0 * of_a * at_a
+        square[b] += 3.0 * of_b * at_b
+        square[c] += 3.0 * of_c * at_c
+        cube[a] += of_a * ((u - w) * at_a - u * at_b + w * at_c)
+        cube[b] += of_b * ((v - u) * at_b - v * at_c + u * at_a)
+        cube[c] += of_c * ((w - v) * at_c - w * at_a + v * at_b)
+        total += at_a + at_b + at_c
+    return total
+
+
+@compiled(forceinline=True, allocates=False)
+def _add_steps(t, q, c, steps):  # type: ignore[no-untyped-def]
+    """Adds to steps so that their threefold running sum is the light of each bin, if q (x − t)² + c (x − t)³ is that
+    by time x > t, bins."""
+    if t < 0.0:
+        # The light of three bins tells that of all others.
+        one = q * (1.0 - 2.0 * t) + c * (1.0 - 3.0 * t * (1.0 - t))
+        two = q * (3.0 - 2.0 * t) + c * (7.0 - 3.0 * t * (3.0 - t))
+        three = q * (5.0 - 2.0 * t) + c * (19.0 - 3.0 * t * (5.0 - t))
+        steps[0] += one
+        steps[1] += two - 3.0 * one
+        steps[2] += three - 3.0 * (two - one)
+        return
+    # Indices without a sign are taken as they are. Of the bin that t is in, f is left and g is gone.
+    i = np.uint64(t)
+    f = np.float64(i) + 1.0 - t
+    g = 1.0 - f
+    f2, g2 = f * f, g * g
+    steps[i] += f2 * (c * f + q)
+    steps[i + np.uint64(1)] += c * (1.0 + 3.0 * (f + f2 - f2 * f)) + q * (1.0 + 2.0 * f - 3.0 * f2)
+    steps[i + np.uint64(2)] += c * (1.0 + 3.0 * (g + g2 - g2 * g)) + q * (3.0 * f2 - 4.0 * f)
+    steps[i + np.uint64(3)] += g2 * (c * g - q)
+
+
+@compiled(forceinline=True, allocates=False)
+def _box(width, tilt):  # type: ignore[no-untyped-def]
+    """How times that are spread evenly over some bins become shares of bins: the number m of bins on either side of
+    the middle that count as much as it, how much one more on either side counts, so that the variance is exact, and
+    the change from a bin to the next where light changes by `tilt` over all of them, relative to its mean."""
+    square = width * width
+    m = int(0.5 * (math.sqrt(1.0 + square) - 1.0))
+    end = (2.0 * m + 1.0) * (square - 4.0 * m * (m + 1.0)) / (24.0 * (m + 1.0) ** 2 - 2.0 * square)
+    most = 1.0 / (m + 1.0)
+    return m, end, max(min(tilt / max(width, APART), most), -most)
+
+
+def reserved(bins: int, widest: float) -> Floats:
+    """(3, n) zeros to work with, for histograms of some bins and clusters whose times change by `widest` fine bins at
+    most, over both sides together."""
+    return np.zeros((3, (bins << FINEST) + 3 * (int(widest) + 4) + 8))
 
 
 @compiled(allocates=False)
-def pour(
-    histogram: Floats, row: int, shape: tuple[float, float, float, float, float, float, float], energy: float
-) -> float:
-    """Energy outside the bins, after `energy` was added to a row of bins with the distribution of a `tent`."""
-    a, b, c, low, up, high, down = shape
-    bins: int = histogram.shape[1]
-    # Beyond 1e15 bins, whole numbers are no longer exact; NaN fails each comparison.
-    if not (c > 0.0 and a < bins and c < 1e15 and a > -1e15):
-        return energy
-    first = math.floor(a)
-    # All of it falls into one bin, and is added there without the rounding of differences.
-    if c < first + 1 or not c > a:
-        if not 0.0 <= b < bins:
-            return energy
-        histogram[row, int(b)] += energy
-        return 0.0
-    last, outside = math.floor(c), 0.0
-    # What arrives before the window opens.
-    if first < 0:
-        outside = a * a * (low - a * up) if b >= 0.0 else energy - c * c * (high + c * down)
-    i, middle, before = max(first, 0), min(math.floor(b), bins), outside
-    # Bins before that of the middle vertex: the first one, and those whose light is a difference of cubes.
-    if i < middle:
-        x = i + 1.0 - a
-        histogram[row, i] += x * x * (low + x * up) - before
-        at, by = low * (2.0 * x + 1.0) + up * (3.0 * x * (x + 1.0) + 1.0), 2.0 * low + up * (6.0 * x + 3.0)
-        _add(histogram, row, i + 1, middle, at, by, 3.0 * up)
-        x = middle - a
-        i, before = middle, x * x * (low + x * up)
-    # That bin, and those after it from the end, so that small differences of nearly all the energy keep their digits.
-    if i == bins:
-        return outside + energy - before
-    x = max(c - (i + 1.0), 0.0)
-    histogram[row, i] += energy - before - x * x * (high + x * down)
-    x -= 1.0
-    at, by = high * (2.0 * x + 1.0) + down * (3.0 * x * (x + 1.0) + 1.0), 2.0 * high + down * (6.0 * x + 3.0)
-    _add(histogram, row, i + 1, min(last, bins), at, -by, 3.0 * down)
-    if last < bins:
-        x = c - last
-        histogram[row, last] += x * x * (high + x * down) if last > i else 0.0
-        return outside
-    x = c - bins
-    return outside + x * x * (high + x * down)
+def spread(  # type: ignore[no-untyped-def]
+    light, level, time, at, change, shift, histogram, row, steps, own, once, square, cube
+):
+    """Adds light to a row of histogram (…, T), photons; returns what is outside of it.
+
+    level : of the 4^level equal parts of a triangle that it is spread over. time, at : times at the corners by way of
+    the middle of the cluster, bins, which are changed, and weights there, in the order of `PLACES`. change : (4,) of
+    times, bins, and of weights, relative to their mean, along both sides of the cluster. shift : light is spread over
+    the cluster by steps of 2^−shift bins. steps, own, once : of `reserved`, zero before and after. square, cube :
+    (CORNERS[-1],).
+
+    The times of a flat cluster are those of two boxes, one after the other, and its weights a product of those along
+    its two sides. To spread over a box is to sum over neighbouring bins: elements that fit together still do.
+    """
+    n, fine = CORNERS[level], float(1 << shift)
+    m1, end1, tilt1 = _box(fine * abs(change[0]), math.copysign(change[2], change[0] * change[2]))
+    m2, end2, tilt2 = _box(fine * abs(change[1]), math.copysign(change[3], change[1] * change[3]))
+    is_spread = end1 + end2 + m1 + m2 > 0.0
+    # Light before the window or after it may be spread into it.
+    reach, T = m1 + m2 + 2 if is_spread else 0, histogram.shape[1] << shift
+    bins = T + 2 * reach
+    first, last = time[0], time[0]
+    for v in range(n):
+        first, last = min(first, time[v]), max(last, time[v])
+    tie = max(TIE * fine * (last - first), TIED)
+    first, last = fine * first + reach - tie, fine * last + reach + tie
+    if not (last > 0.0 and first < bins):
+        return light
+    for v in range(n):
+        time[v] = fine * time[v] + tie * (TILT[0] * PLACES[v, 0] + TILT[1] * PLACES[v, 1]) + reach
+    scale, inside = light / _set_knots(level, at, time, square, cube), 0.0
+    for v in range(n):
+        if time[v] < bins:
+            _add_steps(time[v], square[v], cube[v], steps)
+    begin, end = np.uint64(max(first, 0.0)), np.uint64(min(last, bins - 1.0))
+    by, row = np.uint64(shift), np.uint64(row)
+    s1 = s2 = s3 = 0.0
+    if not is_spread:
+        for i in range(begin, end + np.uint64(1)):
+            s1 += steps[i]
+            s2 += s1
+            s3 += s2
+            steps[i] = 0.0
+            here = scale * max(s3, 0.0)
+            inside += here
+            histogram[row, i >> by] += here
+    else:
+        late, k1, k2 = np.uint64(2 * reach), np.uint64(2 * m1 + 2), np.uint64(2 * m2 + 2)
+        stop = min(end + late, np.uint64(bins - 1)) + np.uint64(1)
+        for i in range(begin, end + np.uint64(1)):
+            s1 += steps[i]
+            s2 += s1
+            s3 += s2
+            steps[i] = 0.0
+            own[i + late] = max(s3, 0.0)
+        scale /= (2.0 * m1 + 1.0 + 2.0 * end1) * (2.0 * m2 + 1.0 + 2.0 * end2)
+        lean1, lean2 = (m1 + 1) * tilt1 * end1, (m2 + 1) * tilt2 * end2
+        # `once` is m1 + 1 bins later than `own`, and what is spread twice m2 + 1 bins later than that. Of neighbours
+        # s is the sum, and t that of each times how much later it becomes.
+        s1 = s2 = t1 = t2 = 0.0
+        for i in range(begin, stop):
+            k = i + late
+            new, old = own[k - np.uint64(1)], own[k - k1]
+            t1 += s1 - (m1 + 1) * old - m1 * new
+            s1 += new - old
+            once[k] = s1 + tilt1 * t1 + (end1 - lean1) * own[k] + (end1 + lean1) * old
+            new, old = once[k - np.uint64(1)], once[k - k2]
+            t2 += s2 - (m2 + 1) * old - m2 * new
+            s2 += new - old
+            if i >= late:
+                here = scale * max(s2 + tilt2 * t2 + (end2 - lean2) * once[k] + (end2 + lean2) * old, 0.0)
+                inside += here
+                histogram[row, (i - late) >> by] += here
+        for i in range(begin, stop):
+            own[i + late] = once[i + late] = 0.0
+    for i in range(end + np.uint64(1), end + np.uint64(5)):
+        steps[i] = 0.0
+    return max(light - inside, 0.0) if first < 2 * reach or last >= T else 0.0

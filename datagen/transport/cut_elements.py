@@ -33,7 +33,7 @@ from datagen.transport.geometry import (
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.weights import Brdf, brdf_of
 
-COARSEST = 1.0
+COARSEST = 1.2
 """Largest size of an element relative to its distance, whatever its light; of larger ones a few in corners have most
 of the light (at 1.5 a room of boxes errs twice as much for the same time)."""
 COARSEST_CLUSTER = 0.7
@@ -121,7 +121,8 @@ class Piece(NamedTuple):
     verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
     bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
     square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
-    within the window.
+    within the window. slack : the L2 error that is asked of a histogram, relative to the L2 norm of the piece's light
+    as guessed.
     """
 
     verdict: int
@@ -131,6 +132,7 @@ class Piece(NamedTuple):
     bend: float
     across: float
     inside: bool
+    slack: float
 
 
 class Walk(NamedTuple):
@@ -361,21 +363,21 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def judged(walk, top, n, delta, error, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 
-    leg, last_leg : from the laser, and to the sensor, metres.
+    error : L2 error that is asked of a histogram, photons. leg, last_leg : from the laser, and to the sensor, metres.
     """
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False)
+        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
     # Over a cluster the light must be linear.
     if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
-        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False)
+        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     t0, t1, t2 = (
         piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
     )  # fmt: skip
@@ -383,7 +385,7 @@ def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # typ
     leg += last_leg if room.device else 0.0
     is_inside = may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside)
+        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     is_matt = lit.brdf.kind == LAMBERTIAN and seen.brdf.kind == LAMBERTIAN and surface.brdf.kind == LAMBERTIAN
@@ -396,10 +398,11 @@ def judged(walk, top, n, delta, leg, last_leg, room, surface, lit, seen):  # typ
     across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
     # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
     verdict, light, worth = SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
+    slack = error * math.sqrt(width) / light if light > 0.0 else np.inf
     if is_inside:
         arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
             verdict = CLUSTER_FIRST
         elif may_halve and light * (1.0 + BENT * bend / width) > worth:
             verdict = HALVES
-    return Piece(verdict, most, area, width, bend, across, is_inside)
+    return Piece(verdict, most, area, width, bend, across, is_inside, slack)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.arrival_times import pour, tent
+from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, PARTS, PLACES, spread
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
@@ -41,57 +41,32 @@ LEAST = 0.1
 """Least density of the hidden point on an element, relative to the largest: bounds the weight where a guess is 0."""
 POINTS = 4
 """Most FoV points that a hidden point is joined to, a power of 4; one of them, drawn by its light, gets a ray."""
-EVEN, EVEN_LEVELS = 0.05, 2
-"""Square of an element's size over its distance up to which its weights count as linear, and most times that one with
-more is quartered for the drawing."""
-STRAIGHT, LEVELS = 0.01, 3
-"""Bend of the arrival times over an element, relative to their span, up to which they count as linear, and most times
-that one with more is quartered for the spread of its light."""
-WIDE = 0.1
-"""Distance at which the times over a cluster are told apart, relative to the span of those over the element, but at
-least a bin."""
+EVEN, STRAIGHT = 0.05, 0.03
+"""Square of an element's size over its distance up to which its weights count as linear, and bend of its arrival
+times, relative to their span, up to which they do: both for an element of as much light as its histogram may err by,
+and less in proportion for one of more. Replicates cannot see what is wrong with shapes: 0.2 % where 2 % are asked
+(median)."""
+OPENED = 16
+"""Where a pixel was opened into so many clusters, samples are spread over a quarter of a piece, where into four times
+as many over a sixteenth: each cluster draws its own, but the shape of a whole piece would be alike in all."""
+FINE, LEAST_WIDTH = (8.0, 24.0), 1e-3
+"""Bins over which an element's times spread up to which its light is spread over a cluster by quarters of a bin, and
+by halves (by whole bins rooms erred by 1.2 to 1.6 times as much); and a change of times over a cluster that is none,
+bins."""
 UNEVEN = 0.5
 """Range of the place at which pieces are halved, relative to their side: no two replicates have the same elements."""
 STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 """Steps of additive recurrences (Roberts 2018), which spread the hidden and the FoV points of a pair evenly."""
 
 
-def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
-    """How a triangle is divided into 4^level equal parts: for each level the number of their corners; where corners
-    lie (n, 2), as shares of the ways to the second and third corner of the triangle; the two (n, 2) in the middle
-    between which each lies; and the corners of each part (LEVELS + 1, 4^LEVELS, 3). Corners of a coarser level come
-    first, in the same order."""
-    counts, where, between = list[int](), {(0.0, 0.0): 0, (1.0, 0.0): 1, (0.0, 1.0): 2}, [(0, 0), (1, 1), (2, 2)]
-    parts = np.zeros((LEVELS + 1, 4**LEVELS, 3), np.int64)
-    for level in range(LEVELS + 1):
-        n = 2**level
-        every = [(i, j) for i in range(n + 1) for j in range(n + 1 - i) if (i / n, j / n) not in where]
-        where |= {(i / n, j / n): len(where) + k for k, (i, j) in enumerate(every)}
-        # Along one of the three directions in which sides run.
-        for i, j in every:
-            a, b = (1, -(j % 2)) if i % 2 else (0, 1)
-            between.append((where[(i - a) / n, (j - b) / n], where[(i + a) / n, (j + b) / n]))
-        # A part that stands upright, and the one beside it that is upside down.
-        of = [
-            (where[(i + down) / n, j / n], where[(i + 1) / n, (j + down) / n], where[i / n, (j + 1) / n])
-            for i in range(n) for j in range(n - i) for down in range(2 if j < n - i - 1 else 1)
-        ]  # fmt: skip
-        counts.append(len(where))
-        parts[level, : len(of)] = of
-    return tuple(counts), np.array(list(where)), np.array(between), parts
-
-
-CORNERS, PLACES, BETWEEN, PARTS = _divided()
-"""Of a triangle's parts."""
-
-
 class Asked(NamedTuple):
     """What is asked of each part (K,): delta, photons that an element brings at most; slot, the place of the part's
-    rows, −1 for parts that are left out. least : chance, at least, of an element that brings much less to get a
-    sample, which then stands for all those that get none."""
+    rows, −1 for parts that are left out; error, L2 error that its histogram may have, photons. least : chance, at
+    least, of an element that brings much less to get a sample, which then stands for all those that get none."""
 
     delta: Floats
     slot: Ints
+    error: Floats
     least: float
 
 
@@ -107,8 +82,8 @@ class Pair(NamedTuple):
 
 class Hidden(NamedTuple):
     """A hidden point, drawn on an element: place, metres, normal, and density, 1/m²; the guessed light of the element
-    for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, the sum of the
-    weights at all corners of them, and by how much their mean times are late, bins."""
+    for each unit of gain; the corners of the triangle that it is spread over, the level of its parts, and by how much
+    their mean times are late, bins."""
 
     point: Vector
     normal: Vector
@@ -116,7 +91,6 @@ class Hidden(NamedTuple):
     light: float
     corners: tuple[Vector, Vector, Vector]
     level: int
-    total: float
     bend: float
 
 
@@ -124,10 +98,9 @@ class Batch(NamedTuple):
     """Samples that wait for their rays.
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. light :
-    (n,) photons, relative to the sum of the weights at all corners of all parts. level : (n,) of the 4^level equal
-    parts of a triangle that the light is spread over. time, at : (n, CORNERS[-1]) arrival times by way of their
-    corners, bins, and weights there, in the order of `PLACES`. change : (n, 4) along both sides of the cluster, of
-    times, bins, and of weights, relative to those at its middle.
+    (n,) photons. level : (n,) of the 4^level equal parts of a triangle that the light is spread over. time, at :
+    (n, CORNERS[-1]) arrival times by way of their corners and the first tap of the cluster, bins, and weights there,
+    in the order of `PLACES`. taps : (n, 2) taps along both sides of the cluster, a bin apart.
     """
 
     ends: NDArray[np.float32]
@@ -137,13 +110,14 @@ class Batch(NamedTuple):
     time: Floats
     at: Floats
     change: Floats
+    shift: Ints
 
     @classmethod
     def of(cls, n: int) -> Batch:
         """Room for n samples."""
         return cls(
             np.empty((n, 3, 3), np.float32), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64),
-            np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 4)),
+            np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 4)), np.empty(n, np.int64),
         )  # fmt: skip
 
 
@@ -167,6 +141,12 @@ def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
         s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
         s0 * y0[2] + s1 * y1[2] + s2 * y2[2],
     )  # fmt: skip
+
+
+@compiled(forceinline=True, allocates=False)
+def _part_corner(y0, y1, y2, v):  # type: ignore[no-untyped-def]
+    """Corner v of the parts of a triangle."""
+    return _between(y0, y1, y2, 1.0 - PLACES[v, 0] - PLACES[v, 1], PLACES[v, 0], PLACES[v, 1])
 
 
 @compiled(forceinline=True, allocates=False)
@@ -220,10 +200,13 @@ def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
-    """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes."""
+def _drawn(walk, top, piece, squares, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
+    """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes.
+
+    squares : of the pixel.
+    """
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
-    is_box = walk.tag[top, 0] == BOX
+    is_box, is_opened = walk.tag[top, 0] == BOX, False
     if is_box:
         low, high = tree.span[f, 0], tree.span[f, 1]
         area = tree.area[high] - tree.area[low]
@@ -236,14 +219,16 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
         own, least = walk.piece[top], LEAST * piece.most if piece.most > 0.0 else 1.0
         y0, y1, y2 = get(walk.piece, top, 0), get(walk.piece, top, 3), get(walk.piece, top, 6)
         w0, w1, w2 = max(own[9], least), max(own[10], least), max(own[11], least)
-        while across > EVEN and level < EVEN_LEVELS:
+        is_opened = OPENED * walk.tag[top, 4] <= squares
+        least = 0 if not is_opened else 1 if 4 * OPENED * walk.tag[top, 4] > squares else 2
+        while level < LEVELS and (level < least or across > EVEN * piece.slack):
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
     for v in range(CORNERS[level]):
         s1, s2 = PLACES[v, 0], PLACES[v, 1]
         s0 = 1.0 - s1 - s2
         light = s0 * w0 + s1 * w1 + s2 * w2
         if max(s0, s1, s2) < 1.0:
-            y = _between(y0, y1, y2, s0, s1, s2)
+            y = _part_corner(y0, y1, y2, v)
             light = max(guess(y, n, surface, lit, seen, room.values, room.air, room.plane, 0.0)[0], LEAST * light)
         at[v] = light
     part, u, total = _drawn_part(at, level, walk.numbers[0])
@@ -254,14 +239,17 @@ def _drawn(walk, top, piece, room, surface, lit, seen, at):  # type: ignore[no-u
     y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
     light = area * total / (3.0 * (1 << 2 * level))
     density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light
+    if is_opened:
+        y0, y1, y2 = _part_corner(y0, y1, y2, a), _part_corner(y0, y1, y2, b), _part_corner(y0, y1, y2, c)
+        at[0], at[1], at[2], level = at[a], at[b], at[c], 0
     # For their times, which bend more than weights, parts are divided further.
-    while not is_box and bend > STRAIGHT * piece.width and level < LEVELS:
+    while not is_box and bend > STRAIGHT * piece.slack * piece.width and level < LEVELS:
         for v in range(CORNERS[level], CORNERS[level + 1]):
             at[v] = 0.5 * (at[BETWEEN[v, 0]] + at[BETWEEN[v, 1]])
-        level, bend, total = level + 1, 0.25 * bend, 4.0 * total
+        level, bend = level + 1, 0.25 * bend
     # Of a small box nothing is guessed, and all of its light arrives at one time.
     corners = (y, y, y) if is_box else (y0, y1, y2)
-    return Hidden(y, n, density, 0.0 if is_box else light, corners, level, total, bend)
+    return Hidden(y, n, density, 0.0 if is_box else light, corners, level, bend)
 
 
 @compiled(forceinline=True, allocates=False)
@@ -322,17 +310,18 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
     path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
     y0, y1, y2 = hidden.corners
     for v in range(CORNERS[hidden.level]):
-        s1, s2 = PLACES[v, 0], PLACES[v, 1]
-        y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
+        y = _part_corner(y0, y1, y2, v)
         time[v] = (distance(y, pair.lit.point) + distance(y, z) + path) * per
-    change[0], change[1] = one * per, two * per
+    is_narrow = abs(one) + abs(two) < LEAST_WIDTH / per
+    change[0], change[1] = (0.0, 0.0) if is_narrow else (one * per, two * per)
 
 
 @compiled(forceinline=True, allocates=False)
 def _sample(walk, top, piece, chance, replicate, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`, which is drawn with some chance; returns
     whether it brings light."""
-    hidden = _drawn(walk, top, piece, room, surface, pair.lit, seen, batch.at[used])
+    squares = len(pool.part) // (2 * len(pool.cluster))
+    hidden = _drawn(walk, top, piece, squares, room, surface, pair.lit, seen, batch.at[used])
     lobe, many = min(surface.lobe, seen.lobe), walk.tag[top, 4]
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
     expected[0] += seen.gain * hidden.light / chance
@@ -343,7 +332,8 @@ def _sample(walk, top, piece, chance, replicate, room, pool, surface, pair, seen
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
     _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
-    batch.light[used], batch.level[used] = light / (chance * hidden.total), hidden.level
+    batch.light[used], batch.level[used] = light / chance, hidden.level
+    batch.shift[used] = 2 if piece.width < FINE[0] else 1 if piece.width < FINE[1] else 0
     return True
 
 
@@ -378,7 +368,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
         if at[1] == 0 and at[2] == 0:
             walk.state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
             walk.state[0] = (walk.state[0] << np.uint64(32)) | mix(walk.state[0], np.uint64(pair))
-            for d in range(3):
+            for d in range(len(STEPS)):
                 walk.numbers[d] = _random(walk.state)
         for k in range(at[1], len(room.tree.roots)):
             top, at[2] = at[2], 0
@@ -404,10 +394,12 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                     if light == np.inf or (inside and guessed > enough):
                         top = open_box(walk, top, room, surface, lit, seen)
                         continue
-                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside)
+                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside, 0.0)
                 else:
                     n = get(room.tree.normal, tag[top, 1], 0)
-                    piece = judged(walk, top, n, enough, ends.leg, pool.leg[seen.one], room, surface, lit, seen)
+                    piece = judged(
+                        walk, top, n, enough, asked.error[k], ends.leg, pool.leg[seen.one], room, surface, lit, seen
+                    )  # fmt: skip
                     if piece.verdict == CLUSTER_FIRST:
                         top = open_cluster(walk, top, n, room, pool, p, ends.power, surface, lit)
                     elif piece.verdict == HALVES:
@@ -424,7 +416,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 if not _is_drawn(walk, chance):
                     continue
                 at[3] += 1
-                for d in range(3):
+                for d in range(len(STEPS)):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
                 if _sample(
                     walk, top, piece, chance, replicate, room, pool, surface, ends, seen, expected, batch, used
@@ -446,126 +438,23 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
             origin[n, c], span[n, c] = ends[1, c], ends[2 * leg, c] - ends[1, c]
 
 
-@compiled(forceinline=True, allocates=False)
-def _earlier(t, one, two):  # type: ignore[no-untyped-def]
-    """Share of a flat cluster with times earlier than t, if they change by one ≥ two ≥ 0 along its sides and are 0 in
-    the middle."""
-    edge = 0.5 * (one + two) - abs(t)
-    # From the corner on, the share grows with the square, beyond the next corner linearly.
-    late = 0.0 if edge <= 0.0 else 0.5 * edge * edge / (one * two) if edge < two else (edge - 0.5 * two) / one
-    return 1.0 - late if t > 0.0 else late
+@compiled(allocates=False)
+def widest(batch, rows):  # type: ignore[no-untyped-def]
+    """Change of times over both sides of a cluster together, at most, of some samples, fine bins."""
+    most = 0.0
+    for s in rows:
+        most = max(most, (abs(batch.change[s, 0]) + abs(batch.change[s, 1])) * (1 << batch.shift[s]))
+    return most
 
 
 @compiled(allocates=False)
-def _pour_cluster(batch, s, span, histogram, outside):  # type: ignore[no-untyped-def]
-    """Adds the light of sample s, whose element is small, spread over the times of its cluster.
-
-    span : of the times over the element, bins.
-    """
-    level, at, time, row = batch.level[s], batch.at[s], batch.time[s], batch.row[s]
-    one, two, tilt1, tilt2 = batch.change[s, 0], batch.change[s, 1], batch.change[s, 2], batch.change[s, 3]
-    total = mean = 0.0
-    for part in range(1 << 2 * level):
-        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
-        of = at[a] + at[b] + at[c]
-        total += of
-        # Of a product of two linear functions over a triangle.
-        mean += 0.25 * (of * (time[a] + time[b] + time[c]) + at[a] * time[a] + at[b] * time[b] + at[c] * time[c])
-    mean, light = mean / total, batch.light[s] * total
-    # The variance of the element's times, span²/18 at most for a triangle, makes the spread somewhat larger.
-    stretch = math.sqrt(1.0 + span * span / (1.5 * (one * one + two * two)))
-    one, two = 0.5 * stretch * one, 0.5 * stretch * two
-    w1, w2 = 1.0 + 0.5 * (tilt1 - tilt2), 1.0 + 0.5 * (tilt2 - tilt1)
-    # Both halves of the cluster, divided along a diagonal.
-    for side in (-1.0, 1.0):
-        w = 1.0 + 0.5 * side * (tilt1 + tilt2)
-        half = light * (w + w1 + w2) / 6.0
-        shape = tent(mean + side * (one + two), mean + one - two, mean + two - one, w, w1, w2, half)
-        outside[row] += pour(histogram, row, shape, half)
-
-
-@compiled(allocates=False)
-def _set_kernel(kernel, change, step):  # type: ignore[no-untyped-def]
-    """Sets the shares of light (2 n + 1,) that arrive j · step bins later than by way of the middle of a cluster with
-    the change (4,) over it, −n ≤ j ≤ n; returns n. Their variance is exact, their mean up to hundredths of a step."""
-    square, variance = step * step, (change[0] ** 2 + change[1] ** 2) / 12.0
-    if variance <= 0.0:
-        kernel[0] = 1.0
-        return 0
-    tilt = (change[2] * change[0] + change[3] * change[1]) / (12.0 * variance)
-    # Rounding to steps adds a twelfth of their square.
-    scale = math.sqrt(max(1.0 - square / (12.0 * variance), 0.0))
-    one, two = scale * max(abs(change[0]), abs(change[1])), scale * min(abs(change[0]), abs(change[1]))
-    n, before = max(math.ceil(0.5 * (one + two) / step - 0.5), 1), 0.0
-    for q in range(2 * n + 1):
-        later = step * (q - n)
-        until = _earlier(later + 0.5 * step, one, two) if q < 2 * n else 1.0
-        kernel[q] = until - before
-        variance -= kernel[q] * later * later
-        before = until
-    # What is left of the variance goes from the middle to both sides.
-    kernel[n - 1] += 0.5 * variance / square
-    kernel[n] -= variance / square
-    kernel[n + 1] += 0.5 * variance / square
-    # Weights change linearly with time, and are nowhere below zero.
-    tilt = max(min(tilt, 1.0 / (n * step)), -1.0 / (n * step))
-    for q in range(2 * n + 1):
-        kernel[q] *= 1.0 + tilt * step * (q - n)
-    return n
-
-
-@compiled(allocates=False)
-def _pour_parts(batch, s, scratch):  # type: ignore[no-untyped-def]
-    """Adds the light of sample s to scratch (1, T + 2 M), whose first M bins are before the window, spread over the
-    times by way of the middle of its cluster. Returns the first and the last bin with some of it, and what is outside
-    of scratch."""
-    level, at, time, beyond = batch.level[s], batch.at[s], batch.time[s], 0.0
-    first = last = time[0]
-    for v in range(CORNERS[level]):
-        first, last = min(first, time[v]), max(last, time[v])
-    for part in range(1 << 2 * level):
-        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
-        light = (at[a] + at[b] + at[c]) * batch.light[s]
-        beyond += pour(scratch, 0, tent(time[a], time[b], time[c], at[a], at[b], at[c], light), light)
-    last_bin = float(scratch.shape[1] - 1)
-    return int(min(max(first, 0.0), last_bin)), int(min(max(last, 0.0), last_bin)), beyond
-
-
-@compiled(allocates=False)
-def pour_all(batch, rows, histogram, outside, scratch, kernel):  # type: ignore[no-untyped-def]
+def pour_all(batch, rows, histogram, outside, room, square, cube):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
 
-    The light of a sample is spread over the arrival times of its parts in proportion to their weights, and over those
-    of its cluster. Where neither is a point, that is a convolution: neighbours that fit together still do.
-
-    scratch : (1, T + 2 M) zeros, for clusters over which times change by up to M − 3 bins. kernel : (2 M + 1,).
+    room : `reserved` for them. square, cube : (CORNERS[-1],).
     """
-    T = histogram.shape[1]
-    M = (scratch.shape[1] - T) // 2
     for s in rows:
-        row, time = batch.row[s], batch.time[s]
-        span = max(time[0], time[1], time[2]) - min(time[0], time[1], time[2])
-        whole = abs(batch.change[s, 0]) + abs(batch.change[s, 1])
-        if span < min(1.0, whole):
-            _pour_cluster(batch, s, span, histogram, outside)
-            continue
-        step = max(int(min(WIDE * span, 0.5 * whole)), 1)
-        n = _set_kernel(kernel, batch.change[s], float(step))
-        time += M
-        first, last, beyond = _pour_parts(batch, s, scratch)
-        outside[row] += beyond
-        count, at = last + 1 - first, np.uint64(first)
-        for q in range(2 * n + 1):
-            start = first - M + step * (q - n)
-            early = min(max(-start, 0), count)
-            late = max(min(T - start, count), early)
-            for k in range(early):
-                outside[row] += kernel[q] * scratch[0, first + k]
-            # Indices without a sign are taken as they are, so that several bins are added at a time.
-            for k in range(late - early):
-                here = np.uint64(early + k)
-                histogram[np.uint64(row), np.uint64(start) + here] += kernel[q] * scratch[0, at + here]
-            for k in range(late, count):
-                outside[row] += kernel[q] * scratch[0, first + k]
-        for i in range(first, last + 1):
-            scratch[0, i] = 0.0
+        outside[batch.row[s]] += spread(
+            batch.light[s], batch.level[s], batch.time[s], batch.at[s], batch.change[s], batch.shift[s],
+            histogram, batch.row[s], room[0], room[1], room[2], square, cube,
+        )  # fmt: skip

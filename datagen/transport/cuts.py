@@ -23,10 +23,11 @@ import numpy as np
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.seeding import LightStream
+from datagen.transport.arrival_times import CORNERS, reserved
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
 from datagen.transport.cut_elements import COARSE, Room, Walk
-from datagen.transport.cut_steps import Asked, Batch, emit, legs_of, pour_all
+from datagen.transport.cut_steps import Asked, Batch, emit, legs_of, pour_all, widest
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.problem import Problem
@@ -55,7 +56,7 @@ DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
-FINEST, COARSEN = 100.0, 2.0
+FINEST, COARSEN = 100.0, 16.0
 """Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
 and most that it rises."""
 LEAST_LIGHT = 1e-100
@@ -119,8 +120,9 @@ class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    most : elements of a histogram. expected : (3,) of `emit`, of all runs so far. is_limited : whether one had `most`
-    in the mean.
+    most : elements of a histogram. error : (G,) L2 error that is asked of each group in a histogram, photons, which
+    decides how exact the shapes of light in time are. expected : (3,) of `emit`, of all runs so far. is_limited :
+    whether one had `most` in the mean.
     """
 
     def __init__(self, problem: Problem, target: float, beside: Beside | None = None) -> None:
@@ -144,7 +146,7 @@ class Cuts:
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
-        self.is_limited = False
+        self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
@@ -193,7 +195,8 @@ class Cuts:
         slot = np.full(K, -1)
         slot[active] = np.arange(len(active))
         # The elements of one laser point are no more than those that a histogram needs.
-        asked = Asked(delta[self.groups], slot, max(LEAST_CHANCE, 1.0 / self.points) if points is None else 1.0)
+        least = max(LEAST_CHANCE, 1.0 / self.points) if points is None else 1.0
+        asked = Asked(delta[self.groups], slot, self.error[self.groups], least)
         pixel_of = self.pairs.ends[which, 1]
         squares = self.squares[pixel_of]
         for count in np.unique(squares):
@@ -238,9 +241,9 @@ class Cuts:
                 origin, span = self.origin[: len(visible)], self.span[: len(visible)]
                 legs_of(self.batch, visible, leg, origin, span)
                 visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
-            widest = int(np.abs(self.batch.change[visible, :2]).sum(axis=1).max(initial=0.0)) + 3
-            scratch, kernel = np.zeros((1, light.shape[2] + 2 * widest)), np.empty(2 * widest + 1)
-            pour_all(self.batch, visible, light.reshape(-1, light.shape[2]), outside.reshape(-1), scratch, kernel)
+            zeros = reserved(light.shape[2], widest(self.batch, visible))
+            rows_of, over = light.reshape(-1, light.shape[2]), outside.reshape(-1)
+            pour_all(self.batch, visible, rows_of, over, zeros, *np.empty((2, CORNERS[-1])))
         self.is_limited |= bool(walk.at[3] >= most)
         return samples
 
@@ -441,7 +444,8 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
     follows: of much finer elements it would tell nothing."""
     few = _spread(cuts, cuts.pairs.histograms, FEW)
     more, bins = cuts.pairs.histograms / len(few), cuts.problem.capture.time.bins
-    delta = COARSER * _asked(cuts, seen, target)
+    cuts.error = _asked(cuts, seen, target)
+    delta = COARSER * cuts.error
     known, again = _Known(np.zeros((len(cuts.groups), len(few), bins)), np.zeros(len(delta)), more), delta > 0.0
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)

@@ -106,8 +106,7 @@ OCCLUDER = PHYSICS + "test_primary_truths.py::test_an_occluder_casts_an_exact_sh
 SPHERE = PHYSICS + "test_all_bounces.py::test_sphere_energy_for_three_to_six_bounces"
 BLOCKS_IN_SPHERE = PHYSICS + "test_blocks.py::test_energy_inside_of_a_sphere"
 SHADOWS_AND_AIR = PHYSICS + "test_blocks.py::test_shadows_and_air_are_those_of_plain_paths"
-BINS = PHYSICS + "test_arrival_times.py::test_bins_of_a_triangle"
-SPREAD = PHYSICS + "test_spread.py::test_light_of_an_element_and_a_cluster"
+SPREAD = PHYSICS + "test_arrival_times.py::test_light_of_an_element_and_a_cluster"
 IN_FOG = EQUIVALENCE + "test_paths.py::test_in_fog_with_the_direct_return_and_five_bounces"
 DARK = PHYSICS + "test_dark_windows.py::"
 FLOODS, BUILDS = "tests/capture/test_flood.py::", "tests/store/test_build.py::"
@@ -164,11 +163,23 @@ MUTATIONS = (
     # Time bins.
     Mutation(
         "times: edges of bins half a bin early", "arrival_times.py",
-        "x = i + 1.0 - a", "x = i + 0.5 - a", BINS,
+        "f = np.float64(i) + 1.0 - t", "f = np.float64(i) + 1.5 - t", SPREAD + "[no cluster-0]",
     ),
     Mutation(
-        "times: light before the window with the wrong sign", "arrival_times.py",
-        "outside = a * a * (low - a * up)", "outside = a * a * (low + a * up)", BINS,
+        "times: light before the window counts from its third bin alone", "arrival_times.py",
+        "steps[0] += one\n", "steps[0] += 0.0 * one\n", PHYSICS + "test_arrival_times.py::test_windows_of_windows[0]",
+    ),
+    Mutation(
+        "times: a box of bins without its ends", "arrival_times.py",
+        "most = 1.0 / (m + 1.0)\n", "most, end = 1.0 / (m + 1.0), 0.0\n", SPREAD + "[as large-0]",
+    ),
+    Mutation(
+        "times: light that changes over a cluster the wrong way round", "arrival_times.py",
+        "s1 + tilt1 * t1", "s1 - tilt1 * t1", SPREAD + "[a point, weights that change-0]",
+    ),
+    Mutation(
+        "times: corners at one time are not told apart", "arrival_times.py",
+        "tie = max(TIE * fine * (last - first), TIED)", "tie = 0.0", SPREAD + "[two corners at once-0]",
     ),
     Mutation(
         "times: without the leg from the laser", "cut_steps.py",
@@ -177,8 +188,8 @@ MUTATIONS = (
     ),
     Mutation(
         "times: all of a pixel at those of its middle", "cut_steps.py",
-        "if variance <= 0.0:", "if variance >= 0.0:",
-        SPREAD + "[as large-0]",
+        "(0.0, 0.0) if is_narrow else (one * per, two * per)", "(0.0, 0.0)",
+        PHYSICS + "test_primary_laws.py::test_arrival_times_of_a_large_pixel_are_spread",
     ),
     # Blocks.
     Mutation(
@@ -299,7 +310,8 @@ MUTATIONS = (
     ),
     Mutation(
         "floods: an element that is drawn by chance stands for itself alone", "cut_steps.py",
-        "light / (chance * hidden.total)", "light / hidden.total", DARK + "test_a_flood_has_the_light_of_its_paths",
+        "batch.level[used] = light / chance, ", "batch.level[used] = light, ",
+        DARK + "test_a_flood_has_the_light_of_its_paths",
     ),
     Mutation(
         "floods: each laser point of a block has all light", "blocks.py",
