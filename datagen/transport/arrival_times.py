@@ -16,10 +16,10 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
-LEVELS, FINEST = 3, 2
+LEVELS, FINEST = 3, 3
 """Most times that a triangle is quartered, and that a bin is halved."""
-TIE, TIED, TILT = 1e-4, 0.05, (0.62, -0.38)
-"""Corners of a part need times of their own: those of a triangle are tilted, along its two sides, by this share of
+TIE, TIED = 1e-4, 0.05
+"""Corners of a part need times of their own: those of a triangle are tilted, one late and one early, by this share of
 their span, at least so many bins."""
 APART = 1e-12
 """Bins between corners that are at one time in spite of it, and that are divided by at least."""
@@ -135,22 +135,28 @@ def spread(  # type: ignore[no-untyped-def]
     The times of a flat cluster are those of two boxes, one after the other, and its weights a product of those along
     its two sides. To spread over a box is to sum over neighbouring bins: elements that fit together still do.
     """
-    n, fine = CORNERS[level], float(1 << shift)
-    m1, end1, tilt1 = _box(fine * abs(change[0]), math.copysign(change[2], change[0] * change[2]))
-    m2, end2, tilt2 = _box(fine * abs(change[1]), math.copysign(change[3], change[1] * change[3]))
+    n, fine, first, last = CORNERS[level], float(1 << shift), time[0], time[0]
+    for v in range(n):
+        first, last = min(first, time[v]), max(last, time[v])
+    span, wide1, wide2 = fine * (last - first), fine * abs(change[0]), fine * abs(change[1])
+    tie = max(TIE * span, TIED)
+    if wide1 + wide2 > 0.0 and span < 2.0:
+        # What is narrower than steps is shared by two of them, so that its mean is kept: tilted by two it is a linear
+        # spline. The wider box gives back the variance that is added, a twelfth of half the square.
+        tie = max(tie, 2.0 - span)
+        one, two = (0.5 * tie**2, 0.0) if wide1 > wide2 else (0.0, 0.5 * tie**2)
+        wide1, wide2 = math.sqrt(max(wide1**2 - one, 0.0)), math.sqrt(max(wide2**2 - two, 0.0))
+    m1, end1, tilt1 = _box(wide1, math.copysign(change[2], change[0] * change[2]))
+    m2, end2, tilt2 = _box(wide2, math.copysign(change[3], change[1] * change[3]))
     is_spread = end1 + end2 + m1 + m2 > 0.0
     # Light before the window or after it may be spread into it.
     reach, T = m1 + m2 + 2 if is_spread else 0, histogram.shape[1] << shift
     bins = T + 2 * reach
-    first, last = time[0], time[0]
-    for v in range(n):
-        first, last = min(first, time[v]), max(last, time[v])
-    tie = max(TIE * fine * (last - first), TIED)
     first, last = fine * first + reach - tie, fine * last + reach + tie
     if not (last > 0.0 and first < bins):
         return light
     for v in range(n):
-        time[v] = fine * time[v] + tie * (TILT[0] * PLACES[v, 0] + TILT[1] * PLACES[v, 1]) + reach
+        time[v] = fine * time[v] + 0.5 * tie * (PLACES[v, 0] - PLACES[v, 1]) + reach
     scale, inside = light / _set_knots(level, at, time, square, cube), 0.0
     for v in range(n):
         if time[v] < bins:

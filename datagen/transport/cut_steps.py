@@ -49,7 +49,7 @@ and less in proportion for one of more. Replicates cannot see what is wrong with
 OPENED = 16
 """Where a pixel was opened into so many clusters, samples are spread over a quarter of a piece, where into four times
 as many over a sixteenth: each cluster draws its own, but the shape of a whole piece would be alike in all."""
-FINE, LEAST_WIDTH = (8.0, 24.0), 1e-3
+FINE, LEAST_WIDTH = (2.0, 8.0, 24.0), 1e-3
 """Bins over which an element's times spread up to which its light is spread over a cluster by quarters of a bin, and
 by halves (by whole bins rooms erred by 1.2 to 1.6 times as much); and a change of times over a cluster that is none,
 bins."""
@@ -333,7 +333,8 @@ def _sample(walk, top, piece, chance, replicate, room, pool, surface, pair, seen
     _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
     batch.light[used], batch.level[used] = light / chance, hidden.level
-    batch.shift[used] = 2 if piece.width < FINE[0] else 1 if piece.width < FINE[1] else 0
+    width = piece.width
+    batch.shift[used] = 3 if width < FINE[0] else 2 if width < FINE[1] else 1 if width < FINE[2] else 0
     return True
 
 

@@ -36,7 +36,6 @@ TESTS = (
     PHYSICS + "test_sampling.py",
     PHYSICS + "test_brdf.py",
     PHYSICS + "test_arrival_times.py",
-    PHYSICS + "test_spread.py",
     PHYSICS + "test_all_bounces.py",
     PHYSICS + "test_blocks.py",
     PHYSICS + "test_paths_laws.py",
@@ -179,7 +178,7 @@ MUTATIONS = (
     ),
     Mutation(
         "times: corners at one time are not told apart", "arrival_times.py",
-        "tie = max(TIE * fine * (last - first), TIED)", "tie = 0.0", SPREAD + "[two corners at once-0]",
+        "tie = max(TIE * span, TIED)", "tie = 0.0", SPREAD + "[two corners at once-0]",
     ),
     Mutation(
         "times: without the leg from the laser", "cut_steps.py",
