@@ -74,6 +74,8 @@ FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 SAMPLES = 1 << 16
 """Samples that wait for their rays at once."""
+VALUES_IN_CACHE = 1 << 18
+"""Values of a replicate that are taken up at once: 2 MiB, which stay in the processor's cache until they are."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +98,10 @@ class PrimaryLight:
 class Run(NamedTuple):
     """Light of n histograms.
 
-    light : (K, n, T) photons by part, mean of both replicates. outside : (K, n) photons outside the window. square :
-    (G, n) squared L2 norms of half their difference, by group of parts; whole : (n,) of all parts. samples :
-    number of samples. guessed : photons within the window, if nothing stood between.
+    light : (K, n, T) photons by part, mean of both replicates, and of what was known. outside : (K, n) photons
+    outside the window, mean of both. square : (G, n) squared L2 norms of half their difference, by group of parts;
+    whole : (n,) of all parts. samples : number of samples. guessed : photons within the window, if nothing stood
+    between.
     """
 
     light: Floats
@@ -107,6 +110,13 @@ class Run(NamedTuple):
     whole: Floats
     samples: int
     guessed: float
+
+
+class Mean(NamedTuple):
+    """A mean over runs, photons: light (K, n, T), and the share (G,), by group, that the next run has in it."""
+
+    light: Floats
+    share: Floats
 
 
 class Beside(NamedTuple):
@@ -147,6 +157,7 @@ class Cuts:
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
         self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
+        self.memory = np.zeros(0)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
@@ -182,14 +193,17 @@ class Cuts:
         """A seed of random numbers of its own."""
         return int(stream_seeds(self.problem.seed, LightStream.CUTS, *numbers)[0])
 
-    def run(self, which: Ints, delta: Floats, number: int, points: Ints | None = None) -> Run:
+    def run(
+        self, which: Ints, delta: Floats, number: int, points: Ints | None = None, known: Mean | None = None
+    ) -> Run:  # fmt: skip
         """The light of some histograms, of elements that bring at most `delta` (G,) photons; NaN leaves a group out.
 
         number : of the run; each draws its own random numbers. points : numbers of a flood's laser points that
-        are lit; all where none are given.
+        are lit; all where none are given. known : light that the run's own is averaged with, in place.
         """
         K, T = len(self.problem.scene.part_names), self.problem.capture.time.bins
-        light, outside, samples = np.zeros((K, len(which), T)), np.zeros((K, len(which))), 0
+        light, share = Mean(np.zeros((K, len(which), T)), np.ones(len(delta))) if known is None else known
+        outside, samples = np.zeros((K, len(which))), 0
         square, whole = np.zeros((self.groups.max() + 1, len(which))), np.zeros(len(which))
         active, before = np.flatnonzero(~np.isnan(delta[self.groups])), self.expected[2]
         slot = np.full(K, -1)
@@ -210,19 +224,47 @@ class Cuts:
                 own = own if points is None else own[:, points]
                 lasers, each = self.pairs.ends[own.ravel(), 0], own.shape[1]
                 pairs = np.column_stack([lasers, np.repeat(of, each), np.repeat(rows, each)])
-                both, over = np.zeros((2, len(active), len(some), T)), np.zeros((2, len(active), len(some)))
+                both, over = self._zeros(2, len(active), len(some), T), np.zeros((2, len(active), len(some)))
                 for r in range(2):
                     seed = self.seed(2, number, int(some[0]), r)
                     samples += self._add(pairs, asked, r, seed, pool, both[r], over[r])
-                for a, k in enumerate(active):
-                    light[k, some] = 0.5 * (both[0, a] + both[1, a])
                 outside[np.ix_(active, some)] = over.mean(axis=0)
-                apart = np.subtract(both[0], both[1], out=both[0])
-                whole[some] = 0.25 * np.square(apart.sum(axis=0)).sum(axis=1)
-                for group in np.unique(self.groups[active]):
-                    own_light = apart[self.groups[active] == group].sum(axis=0)
-                    square[group, some] = 0.25 * np.square(own_light).sum(axis=1)
+                # Histograms that fit into the processor's cache are averaged, compared and set to zero in one go.
+                step = max(VALUES_IN_CACHE // (len(active) * T), 1)
+                for at in range(0, len(some), step):
+                    rows = slice(at, at + step)
+                    self._take_up(both[:, :, rows], active, some[rows], light, share, square, whole)
         return Run(light, outside, square, whole, samples, 0.5 * float(self.expected[2] - before))
+
+    def _zeros(self, *shape: int) -> Floats:
+        """Zeros of some shape, in memory that is zero again after use."""
+        count = math.prod(shape)
+        if len(self.memory) < count:
+            self.memory = np.zeros(count)
+        return self.memory[:count].reshape(shape)
+
+    def _take_up(
+        self, both: Floats, active: Ints, rows: Ints, light: Floats, share: Floats, square: Floats, whole: Floats
+    ) -> None:  # fmt: skip
+        """Takes two replicates (2, A, m, T) of the light of the `active` parts (A,) in some `rows` (m,) into `light`,
+        `square` and `whole` of `run`, and sets them to zero."""
+        one, two = both
+        for a, k in enumerate(active):
+            new, own = one[a] + two[a], share[self.groups[k]]
+            new *= 0.5 * own
+            if own < 1.0:
+                new += (1.0 - own) * light[k, rows]
+            light[k, rows] = new
+        one -= two
+        total = np.zeros(one.shape[1:])
+        for group in np.unique(self.groups[active]):
+            apart, *others = (one[a] for a in np.flatnonzero(self.groups[active] == group))
+            for other in others:
+                apart += other
+            square[group, rows] = 0.25 * np.einsum("mt,mt->m", apart, apart)
+            total += apart
+        whole[rows] = 0.25 * np.einsum("mt,mt->m", total, total)
+        both[:] = 0.0
 
     def _add(
         self, pairs: Ints, asked: Asked, replicate: int, seed: int, pool: FovClusters, light: Floats, outside: Floats
@@ -266,9 +308,9 @@ class _Found:
     """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and
     the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
 
-    light : (K, H, T), outside : (K, H), square : (G, H) weighted sums of those of `Run`; alike : (G, H) of the
-    roots of squares. precision : (G,). spread : (G,) sum of squared differences, and expected : (G,) of δ^(2 FALLS),
-    whose ratio is a².
+    light : (K, H, T), outside : (K, H), weighted means of those of `Run`; square : (G, H) weighted sums of squares,
+    and alike : (G, H) of their roots. precision : (G,). spread : (G,) sum of squared differences, and expected : (G,)
+    of δ^(2 FALLS), whose ratio is a².
     """
 
     def __init__(self, cuts: Cuts, bins: int) -> None:
@@ -278,13 +320,13 @@ class _Found:
         self.precision, self.spread, self.expected = np.zeros((3, G))
         self.common, self.runs, self.samples = 1.0, 0, 0
 
-    def add(self, run: Run, delta: Floats) -> None:
-        """Add a run of all pairs, with `delta` (G,); NaN for groups that were left out."""
+    def add(self, delta: Floats) -> None:
+        """Add a run of all pairs, with `delta` (G,); NaN for groups that are left out."""
         weight = np.nan_to_num(delta ** (-2 * FALLS))
-        for k in np.flatnonzero(weight[self.cuts.groups]):
-            run.light[k] *= weight[self.cuts.groups[k]]
-            self.light[k] += run.light[k]
-        self.outside += weight[self.cuts.groups][:, None] * run.outside
+        share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
+        every = np.arange(self.cuts.pairs.histograms)
+        run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, share))
+        self.outside += share[self.cuts.groups][:, None] * (run.outside - self.outside)
         self.square += weight[:, None] ** 2 * run.square
         self.alike += weight[:, None] * np.sqrt(run.square)
         self.precision += weight
@@ -299,14 +341,9 @@ class _Found:
         """(G,) precision, above 0 for groups that were never run, too."""
         return np.asarray(np.maximum(self.precision, LEAST_LIGHT))
 
-    @property
-    def mean(self) -> Floats:
-        """(K, H, T) light by part."""
-        return np.asarray(self.light / self.total_weight[self.cuts.groups][:, None, None])
-
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
-        cuts, light = self.cuts, self.mean
+        cuts, light = self.cuts, self.light
         weight = self.total_weight[:, None]
         each = SCATTER * self.square / weight**2 + SHARED * np.square(self.alike / weight)
         of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
@@ -318,7 +355,7 @@ class _Found:
             names[k]: math.sqrt(each[cuts.groups[k]].sum()) / float(norms[k])
             for k in np.flatnonzero(cuts.worth(norms, cuts.norm(total, 1.0)))
         }
-        outside = (self.outside / weight[cuts.groups]).sum(axis=0)
+        outside = self.outside.sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
             rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
@@ -344,7 +381,6 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     known, which counts in what is asked.
     """
     cuts = Cuts(problem, target, beside)
-    every = np.arange(cuts.pairs.histograms)
     seen = _first_look(cuts)
     if not seen.light.any():
         return _dark(cuts, seen)
@@ -361,7 +397,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
         if turn:
-            known = _Known(found.mean, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
+            known = _Known(found.light, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
         there = found.precision / times
         wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
@@ -373,7 +409,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
         delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, delta if turn else COARSEN * delta), delta)
         asked = np.where(again, delta, np.nan)
         for _ in range(times):
-            found.add(cuts.run(every, asked, 2 + found.runs), asked)
+            found.add(asked)
     return found.result()
 
 
