@@ -232,8 +232,8 @@ class Cuts:
                 # Histograms that fit into the processor's cache are averaged, compared and set to zero in one go.
                 step = max(VALUES_IN_CACHE // (len(active) * T), 1)
                 for at in range(0, len(some), step):
-                    rows = slice(at, at + step)
-                    self._take_up(both[:, :, rows], active, some[rows], light, share, square, whole)
+                    few = slice(at, at + step)
+                    self._take_up(both[:, :, few], active, some[few], light, share, square, whole)
         return Run(light, outside, square, whole, samples, 0.5 * float(self.expected[2] - before))
 
     def _zeros(self, *shape: int) -> Floats:
