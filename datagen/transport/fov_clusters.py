@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from datagen.records.arrays import Bools, Floats, Ints
-from datagen.transport.fields_of_view import FovPool, fov_points
+from datagen.compiled import compiled
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.fields_of_view import FovPool, between, fov_points
+from datagen.transport.geometry import get
 from datagen.transport.problem import Problem
 
 SQUARES = (16, 256)
@@ -50,40 +52,11 @@ class FovClusters(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, pixels: Ints, squares: int, rng: np.random.Generator) -> FovClusters:
         """The clusters of some pixels."""
-        sensor, level = problem.capture.sensor, squares.bit_length() // 2
-        square = _in_morton_order(level)[None, :, None]
-        place = rng.random((len(pixels), squares, 2, 2))
-        uv = ((square + place) / 2**level).reshape(len(pixels), 2 * squares, 2)
-        found = fov_points(problem.caster, problem.scene, sensor, problem.cones, pixels, uv, squares)
-        valid = found.part >= 0
-        air = np.exp(-problem.scene.attenuation_per_m * np.where(valid, found.last_leg, 0.0))
-        found = found._replace(weight=found.weight * air)
-        cluster = np.concatenate([_clusters(found, valid, 2 * squares >> (2 * n)) for n in range(level + 1)], axis=1)
-        # The points of one square may lie close together by chance; what they stand for is as large as ever.
-        half_diagonal = np.where(valid, np.sqrt(found.footprint / 2), 0.0).reshape(len(pixels), -1, 2).max(axis=2)
-        cluster[:, -squares:, 6] = np.maximum(cluster[:, -squares:, 6], half_diagonal)
-        flat = is_flat(cluster[:, 0]) & valid.all(axis=1)
-        if flat.any():
-            corners = sensor.pixels[pixels[flat]] - sensor.position
-            middle, sides, leg = _exact(
-                corners, found.position[flat, 0] - sensor.position, cluster[flat, 0, 3:6], level
-            )
-            cluster[flat, :, :3], cluster[flat, :, 11:17], cluster[flat, :, 17] = middle + sensor.position, sides, leg
-            # About the exact middle the radius of a cluster is at most the half of its diagonals.
-            one, two = sides[..., :3], sides[..., 3:]
-            diagonals = np.linalg.norm([one + two, one - two], axis=3)
-            cluster[flat, :, 6] = diagonals.max(axis=0) / 2
-        # Which point of a pixel becomes which of all.
-        cluster[..., 10] += 2 * squares * np.arange(len(pixels))[:, None]
+        found, cluster = _clusters(problem, pixels, squares, len(_places(squares.bit_length() // 2)), rng)
         return cls(
             found.position.reshape(-1, 3), found.normal.reshape(-1, 3), found.to_sensor.reshape(-1, 3),
             found.part.ravel(), found.weight.ravel(), found.last_leg.ravel(), cluster,
         )  # fmt: skip
-
-
-def is_flat(cluster: Floats) -> Bools:
-    """(…) whether the points of clusters (…, 18) lie on one flat surface."""
-    return np.asarray((cluster[..., 7] < FLAT) & (cluster[..., 8] < FLAT))
 
 
 def squares_of(problem: Problem, lobe: Floats, bin_m: float, rng: np.random.Generator) -> Ints:
@@ -94,61 +67,130 @@ def squares_of(problem: Problem, lobe: Floats, bin_m: float, rng: np.random.Gene
     pixels = np.arange(len(problem.capture.sensor.pixels))
     root = np.concatenate(
         [
-            FovClusters.of(problem, some, SQUARES[0], rng).cluster[:, 0]
+            _clusters(problem, some, SQUARES[0], 1, rng)[1][:, 0]
             for some in np.array_split(pixels, 1 + len(pixels) // 4096)
         ]
     )
     # Times over a square of a pixel that is seen from as far as the pixel is wide.
     radius = root[:, 6] / math.sqrt(SQUARES[0])
     is_small = 0.25 * radius**2 < SAGITTA * 2.0 * root[:, 6] * bin_m
-    return np.where(is_flat(root) & is_small & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
+    is_flat = (root[:, 7] < FLAT) & (root[:, 8] < FLAT)
+    return np.where(is_flat & is_small & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
 
 
-def _in_morton_order(level: int) -> Floats:
-    """(4**level, 2) column and row of squares, so ordered that those of a quarter are neighbours."""
-    number = np.arange(4**level)
-    column = sum((((number >> (2 * bit)) & 1) << bit for bit in range(level)), np.zeros_like(number))
-    row = sum((((number >> (2 * bit + 1)) & 1) << bit for bit in range(level)), np.zeros_like(number))
-    return np.stack([column, row], axis=1).astype(float)
+@cache
+def _places(level: int) -> Floats:
+    """(C, 3) clusters of a pixel with 4^level squares: u and v of the middle, and the side; those of a quarter are
+    neighbours."""
+    of_all = []
+    for n in range(level + 1):
+        number, bits = np.arange(4**n)[:, None], np.arange(n)
+        column, row = ((number >> 2 * bits & 1) << bits, (number >> 2 * bits + 1 & 1) << bits)
+        middles = (np.stack([column.sum(axis=1), row.sum(axis=1)], axis=1) + 0.5) / 2**n
+        of_all.append(np.column_stack([middles, np.full(4**n, 0.5**n)]))
+    return np.concatenate(of_all)
 
 
-def _clusters(found: FovPool, valid: Bools, size: int) -> Floats:
-    """(P, n, 18) clusters of `size` neighbouring points each, those of flat pixels not yet exact."""
-
-    def split(values: NDArray[np.float64] | Bools) -> Floats:
-        return np.asarray(values.reshape(len(valid), -1, size, *values.shape[2:]), float)
-
-    v, at, n, weight = split(valid), split(found.position), split(found.normal), split(found.weight)
-    number = np.maximum(v.sum(axis=2), 1)[..., None]
-    middle, axis = np.einsum("pcq,pcqk->pck", v, at) / number, np.einsum("pcq,pcqk->pck", v, n)
-    axis /= np.maximum(np.linalg.norm(axis, axis=2), 1e-300)[..., None]
-    apart = at - middle[:, :, None]
-    cosine = np.where(v > 0, np.einsum("pcqk,pck->pcq", n, axis), 1.0).min(axis=2)
-    radius = (v * np.linalg.norm(apart, axis=3)).max(axis=2)
-    thick = (v * np.abs(np.einsum("pcqk,pck->pcq", apart, axis))).max(axis=2)
-    sine = np.where(cosine > 0, np.sqrt(np.maximum(1 - cosine**2, 0.0)), 2.0)
-    # Rounding of equal normals is no angle.
-    sine[cosine > 1 - 1e-12] = 0.0
-    one = v.argmax(axis=2) + np.arange(v.shape[1]) * size
-    out = np.zeros((*radius.shape, NUMBERS))
-    out[..., :3], out[..., 3:6], out[..., 6:9] = middle, axis, np.stack([radius, sine, thick], axis=2)
-    out[..., 9], out[..., 10] = (v * weight).sum(axis=2) / 2, one
-    return out
+def _clusters(
+    problem: Problem, pixels: Ints, squares: int, count: int, rng: np.random.Generator
+) -> tuple[FovPool, Floats]:
+    """FoV points (P, 2 squares) of some pixels, and the first `count` clusters of each pixel (P, count, 18)."""
+    sensor, places = problem.capture.sensor, _places(squares.bit_length() // 2)
+    side = places[-1, 2]
+    uv = rng.random((len(pixels), squares, 2, 2))
+    uv *= side
+    uv += (places[-squares:, :2] - 0.5 * side)[:, None]
+    uv = uv.reshape(len(pixels), 2 * squares, 2)
+    found = fov_points(problem.caster, problem.scene, sensor, problem.cones, pixels, uv, squares)
+    np.multiply(found.weight, np.exp(-problem.scene.attenuation_per_m * found.last_leg), out=found.weight)
+    cluster = np.zeros((len(pixels), count, NUMBERS))
+    _set_clusters(found, sensor.pixels[pixels] - sensor.position, sensor.position, places, cluster)
+    return found, cluster
 
 
-def _exact(corners: Floats, point: Floats, normal: Floats, level: int) -> tuple[Floats, Floats, Floats]:
-    """Middle (P, C, 3), sides (P, C, 6) and distance to the sensor (P, C) of clusters of pixels that see one plane.
+@compiled(allocates=False)
+def _set_clusters(found, corner, sensor, places, cluster):  # type: ignore[no-untyped-def]
+    """Sets the first n clusters (P, n, 18) of pixels with points `found` (P, Q).
 
-    corners : (P, 4, 3) of the pixels. point, normal : (P, 3) of the planes. All are metres from the sensor.
+    corner : (P, 4, 3) of the pixels, metres from the sensor, which is at `sensor` (3,). places : (C, 3) of `_places`.
     """
-    a, b, c, d = (corners[:, None, k] for k in range(4))
-    uv = np.concatenate([(_in_morton_order(n) + 0.5) / 2**n for n in range(level + 1)])
-    size = np.concatenate([np.full(4**n, 0.5**n) for n in range(level + 1)])[None, :, None]
-    u, v, n = uv[None, :, :1], uv[None, :, 1:], normal[:, None]
-    w = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
-    height, facing = np.einsum("pk,pk->p", point, normal)[:, None, None], (w * n).sum(axis=2, keepdims=True)
-    middle, sides = w * height / facing, []
+    points = found.part.shape[1]
+    for p in range(len(cluster)):
+        size, first = points, 0
+        for c in range(cluster.shape[1]):
+            _set_cluster(found, p, first, size, cluster[p, c])
+            # The clusters of one size are followed by their quarters.
+            first += size
+            if first == points:
+                size, first = size // 4, 0
+        is_flat, q = cluster[p, 0, 7] < FLAT and cluster[p, 0, 8] < FLAT, 0
+        while is_flat and q < points:
+            is_flat = found.part[p, q] >= 0
+            q += 1
+        if is_flat:
+            at, n = get(found.position[p], 0, 0), get(cluster[p], 0, 3)
+            height = n[0] * (at[0] - sensor[0]) + n[1] * (at[1] - sensor[1]) + n[2] * (at[2] - sensor[2])
+            for c in range(cluster.shape[1]):
+                _set_flat(corner, p, sensor, n, height, places[c], cluster[p, c])
+
+
+@compiled(allocates=False)
+def _set_cluster(found, p, first, size, row):  # type: ignore[no-untyped-def]
+    """Sets the numbers of a cluster of `size` points of pixel p, from the `first` on, that are not those of flat
+    pixels alone."""
+    part, position, normal = found.part[p], found.position[p], found.normal[p]
+    count, one, weight = 0, first, 0.0
+    for q in range(first, first + size):
+        if part[q] >= 0:
+            one = q if count == 0 else one
+            count += 1
+            weight += found.weight[p, q]
+            for k in range(3):
+                row[k] += position[q, k]
+                row[3 + k] += normal[q, k]
+    length = math.sqrt(row[3] * row[3] + row[4] * row[4] + row[5] * row[5])
+    for k in range(3):
+        row[k] /= max(count, 1)
+        row[3 + k] /= max(length, 1e-300)
+    square, cosine, thick = 0.0, 1.0, 0.0
+    for q in range(first, first + size):
+        if part[q] >= 0:
+            apart, along, toward = 0.0, 0.0, 0.0
+            for k in range(3):
+                d = position[q, k] - row[k]
+                apart += d * d
+                along += d * row[3 + k]
+                toward += normal[q, k] * row[3 + k]
+            square, cosine, thick = max(square, apart), min(cosine, toward), max(thick, abs(along))
+            # The points of one square may lie close together by chance; what they stand for is as large as ever.
+            square = max(square, found.footprint[p, q] / 2) if size == 2 else square
+    # Rounding of equal normals is no angle.
+    sine = 2.0 if cosine <= 0.0 else 0.0 if cosine > 1.0 - 1e-12 else math.sqrt(1.0 - cosine * cosine)
+    row[6], row[7], row[8], row[9] = math.sqrt(square), sine, thick, weight / 2
+    # Which point of a pixel becomes which of all.
+    row[10] = p * len(part) + one
+
+
+@compiled(allocates=False)
+def _set_flat(corner, p, sensor, n, height, place, row):  # type: ignore[no-untyped-def]
+    """Sets middle, radius, sides and distance of a cluster of pixel p, which sees a plane with normal n.
+
+    height : of the plane above the sensor along its normal, metres. place : (3,) of `_places`.
+    """
+    u, v, side = place[0], place[1], place[2]
+    x, xu, xv = between(corner, p, 0, u, v)
+    y, yu, yv = between(corner, p, 1, u, v)
+    z, zu, zv = between(corner, p, 2, u, v)
     # A line of sight that turns moves its point within the plane.
-    for turn in ((1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)):
-        sides.append(size * (turn - w * (turn * n).sum(axis=2, keepdims=True) / facing) * height / facing)
-    return middle, np.concatenate(sides, axis=2), np.linalg.norm(middle, axis=2)
+    facing = x * n[0] + y * n[1] + z * n[2]
+    far, turn1, turn2 = height / facing, xu * n[0] + yu * n[1] + zu * n[2], xv * n[0] + yv * n[1] + zv * n[2]
+    square = plus = minus = 0.0
+    for k in range(3):
+        w, wu, wv = (x, xu, xv) if k == 0 else (y, yu, yv) if k == 1 else (z, zu, zv)
+        one, two = side * (wu - w * turn1 / facing) * far, side * (wv - w * turn2 / facing) * far
+        row[k], row[11 + k], row[14 + k] = sensor[k] + w * far, one, two
+        square += (w * far) ** 2
+        plus += (one + two) ** 2
+        minus += (one - two) ** 2
+    # About the exact middle the radius of a cluster is at most the half of its diagonals.
+    row[6], row[17] = 0.5 * math.sqrt(max(plus, minus)), math.sqrt(square)

@@ -156,8 +156,13 @@ MUTATIONS = (
     ),
     Mutation(
         "cuts: FoV points without the air to the sensor", "fov_clusters.py",
-        "weight=found.weight * air", "weight=found.weight",
+        "last_leg), out=found.weight)", "last_leg))",
         PATCH + "[wall-cuts]",
+    ),
+    Mutation(
+        "cuts: a flat cluster with a side of twice the length", "fov_clusters.py",
+        "sensor[k] + w * far, one, two", "sensor[k] + w * far, 2.0 * one, two",
+        PHYSICS + "test_primary_laws.py::test_arrival_times_of_a_large_pixel_are_spread",
     ),
     # Time bins.
     Mutation(
