@@ -82,12 +82,13 @@ VALUES_IN_CACHE = 1 << 18
 class PrimaryLight:
     """The primary.
 
-    light : (K, H, T) photons by part, or in one row. outside : (H,) photons outside the window. variance : (H, T)
-    squared standard errors. error : L2 error of the whole, photons. part_errors : object → relative L2 error of its
-    own light. rays : shadow rays.
+    light : (K, H, T) photons by part, or in one row. total : (H, T) of all. outside : (H,) photons outside the
+    window. variance : (H, T) squared standard errors. error : L2 error of the whole, photons. part_errors : object →
+    relative L2 error of its own light. rays : shadow rays.
     """
 
     light: Floats
+    total: Floats
     outside: Floats
     variance: Floats
     error: float
@@ -308,14 +309,15 @@ class _Found:
     """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and
     the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
 
-    light : (K, H, T), outside : (K, H), weighted means of those of `Run`; square : (G, H) weighted sums of squares,
-    and alike : (G, H) of their roots. precision : (G,). spread : (G,) sum of squared differences, and expected : (G,)
-    of δ^(2 FALLS), whose ratio is a².
+    light : (K, H, T), outside : (K, H), weighted means of those of `Run`. total : (H, T) light of all parts. square :
+    (G, H) weighted sums of squares, and alike : (G, H) of their roots. precision : (G,). spread : (G,) sum of squared
+    differences, and expected : (G,) of δ^(2 FALLS), whose ratio is a².
     """
 
     def __init__(self, cuts: Cuts, bins: int) -> None:
         K, G, H = len(cuts.groups), cuts.groups.max() + 1, cuts.pairs.histograms
         self.cuts, self.light, self.outside = cuts, np.zeros((K, H, bins)), np.zeros((K, H))
+        self.total = np.zeros((H, bins))
         self.square, self.alike = np.zeros((2, G, H))
         self.precision, self.spread, self.expected = np.zeros((3, G))
         self.common, self.runs, self.samples = 1.0, 0, 0
@@ -326,6 +328,7 @@ class _Found:
         share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
         every = np.arange(self.cuts.pairs.histograms)
         run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, share))
+        self.light.sum(axis=0, out=self.total)
         self.outside += share[self.cuts.groups][:, None] * (run.outside - self.outside)
         self.square += weight[:, None] ** 2 * run.square
         self.alike += weight[:, None] * np.sqrt(run.square)
@@ -343,10 +346,10 @@ class _Found:
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
-        cuts, light = self.cuts, self.light
+        cuts, light, total = self.cuts, self.light, self.total
         weight = self.total_weight[:, None]
         each = SCATTER * self.square / weight**2 + SHARED * np.square(self.alike / weight)
-        of_pairs, total = self.common * each.sum(axis=0), light.sum(axis=0)
+        of_pairs = self.common * each.sum(axis=0)
         # Within a histogram, where elements are of like light, variances go with the light.
         energy = total.sum(axis=1)
         share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
@@ -358,15 +361,16 @@ class _Found:
         outside = self.outside.sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
-            rows, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
+            rows, total, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
         )  # fmt: skip
 
 
 class _Known(NamedTuple):
-    """What a run has told: light (K, n, T), photons, of 1/`more` of all histograms, and squared errors (G,) of the
-    groups for δ = 1."""
+    """What a run has told: light (K, n, T), photons, of 1/`more` of all histograms, its total (n, T), and squared
+    errors (G,) of the groups for δ = 1."""
 
     light: Floats
+    total: Floats
     squares: Floats
     more: float
 
@@ -389,7 +393,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often; unless there is
     # less of it than the error that is asked.
-    each = np.square(known.light.sum(axis=0)).sum(axis=1)
+    each = np.square(known.total).sum(axis=1)
     histograms = known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
     times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
     if _is_faint(cuts, known, target):
@@ -397,7 +401,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
         if turn:
-            known = _Known(found.light, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
+            known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
         there = found.precision / times
         wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
@@ -415,7 +419,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
 
 def _is_faint(cuts: Cuts, known: _Known, target: float) -> bool:
     """Whether the light, and that of each object, is less than the error that is asked of all light."""
-    total, more, part_target = known.light.sum(axis=0), math.sqrt(known.more), cuts.problem.accuracy.each_part
+    total, more, part_target = known.total, math.sqrt(known.more), cuts.problem.accuracy.each_part
     norms, whole = cuts.norms(known.light, known.more), cuts.norm(total, known.more)
     faint = more * np.array([l2_norm(of) for of in known.light]) <= part_target * norms
     return bool(more * l2_norm(total) <= target * whole and faint[cuts.worth(norms, whole)].all())
@@ -471,7 +475,8 @@ def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
     problem, T = cuts.problem, cuts.problem.capture.time.bins
     rows = np.zeros((len(seen.light) if problem.split_parts else 1, cuts.pairs.histograms, T))
     return PrimaryLight(
-        rows, seen.outside.sum(axis=0), np.zeros(rows.shape[1:]), seen.guessed, {}, 2.0 * seen.samples
+        rows, rows.sum(axis=0), seen.outside.sum(axis=0), np.zeros(rows.shape[1:]), seen.guessed, {},
+        2.0 * seen.samples,
     )  # fmt: skip
 
 
@@ -482,10 +487,12 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
     more, bins = cuts.pairs.histograms / len(few), cuts.problem.capture.time.bins
     cuts.error = _asked(cuts, seen, target)
     delta = COARSER * cuts.error
-    known, again = _Known(np.zeros((len(cuts.groups), len(few), bins)), np.zeros(len(delta)), more), delta > 0.0
+    light, again = np.zeros((len(cuts.groups), len(few), bins)), delta > 0.0
+    known = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more)
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
-        known.light[again[cuts.groups]] = run.light[again[cuts.groups]]
+        light[again[cuts.groups]] = run.light[again[cuts.groups]]
+        known = known._replace(total=light.sum(axis=0))
         known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
         wanted = _precision(cuts, known, SCATTER + SHARED, target)
         finer = _finer(wanted)
@@ -530,7 +537,7 @@ def _precision(cuts: Cuts, known: _Known, claimed: float, target: float) -> Floa
     claimed : squared errors that will be claimed, relative to those by which two replicates differ.
     """
     squares = claimed * known.squares
-    norms, whole = cuts.norms(known.light, known.more), cuts.norm(known.light.sum(axis=0), known.more)
+    norms, whole = cuts.norms(known.light, known.more), cuts.norm(known.total, known.more)
     own = np.zeros(len(squares))
     for k in np.flatnonzero(cuts.worth(norms, whole)):
         group, asked = cuts.groups[k], cuts.problem.accuracy.each_part * norms[k]

@@ -34,6 +34,8 @@ ODD_WAYS = np.array([(0.83, 0.37, 0.41), (-0.29, 0.79, 0.54), (0.31, -0.47, 0.83
 """Directions along which surfaces are counted, off all axes, as edges and planes of rooms lie along these."""
 INSET = 0.01
 """Share of the way to the middle of its part by which a triangle's middle is moved, off what the part stands on."""
+PLANES = 256
+"""Planes of which equal ones are looked for at once."""
 ASKED = 9
 """Places of a part that tell whether it is inside another one."""
 
@@ -123,9 +125,10 @@ def _around(normal: Floats) -> Floats:
 
 def _nothing_before(scene: Scene, at: Floats, normal: Floats, tolerance_m: float) -> bool:
     """Whether no corner of the scene lies before the plane of any of the points (n, 3) with unit normals (n, 3)."""
-    # Points of one plane ask the same question.
-    planes = np.unique(np.round(np.hstack([normal, np.einsum("nk,nk->n", normal, at)[:, None]]), 9), axis=0)
-    return not any((scene.vertices @ n - d).max() > tolerance_m for *n, d in planes)
+    planes = np.round(np.hstack([normal, np.einsum("nk,nk->n", normal, at)[:, None]]), 9)
+    # Points of one plane ask the same question, and almost always the first ones answer it.
+    few = (np.unique(planes[k : k + PLANES], axis=0) for k in range(0, len(planes), PLANES))
+    return not any((scene.vertices @ n - d).max() > tolerance_m for some in few for *n, d in some)
 
 
 def _too_large(scene: Scene, caster: Raycaster, leg: float) -> str:

@@ -80,9 +80,9 @@ class Sampled(NamedTuple):
     outside: dict[str, Floats]
     cost: dict[str, float]
 
-    def stderr(self, shape: tuple[int, int, int]) -> Floats:
-        """(L, P, T) standard error of the sum of all components."""
-        return np.sqrt(sum((of.reshape(shape) for of in self.variance.values()), start=np.zeros(shape)))
+    def squares(self, shape: tuple[int, int, int]) -> Floats:
+        """(L, P, T) squared standard errors of the sum of all components."""
+        return sum((of.reshape(shape) for of in self.variance.values()), start=np.zeros(shape))
 
     def overflow(self, shape: tuple[int, int, int]) -> Floats:
         """(L, P) photons of all components outside the window."""

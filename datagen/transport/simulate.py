@@ -185,9 +185,9 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
         primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)), beside)
     if primary is None:
         return _joined(problem, first, None, _sampled(problem, components, first, 0.0))
-    own = primary.light.sum(axis=0)
-    found = _sampled(problem, others, own + first, primary.error)
-    norm = l2_norm(own + first + sum(found.found.light.values()))
+    own, so_far = primary.total, primary.total + first
+    found = _sampled(problem, others, so_far, primary.error)
+    norm = l2_norm(sum(found.found.light.values(), start=so_far))
     if is_enough(primary.error, l2_norm(own), norm, accuracy.target):
         return _joined(problem, first, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
@@ -245,13 +245,13 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
     light = {name: of.reshape(shape) for name, of in found.light.items()}
     parts, part_errors = dict[str, Floats](), dict[str, float]()
     samplers = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in sources.items()}
-    stderr, overflow, rays = found.stderr(shape), found.overflow(shape), dict(found.cost)
+    variance, overflow, rays = found.squares(shape), found.overflow(shape), dict(found.cost)
     error = math.hypot(*found.error.values())
     if primary is not None:
-        light["primary"] = primary.light.sum(axis=0).reshape(shape)
+        light["primary"] = primary.total.reshape(shape)
         parts = {name: of.reshape(shape) for name, of in zip(problem.parts, primary.light, strict=False)}
         samplers["primary"], rays["primary"] = "cuts", primary.rays
-        stderr = np.hypot(stderr, np.sqrt(primary.variance).reshape(shape))
+        variance += primary.variance.reshape(shape)
         overflow = overflow + primary.outside.reshape(shape[:2])
         part_errors, error = primary.part_errors, math.hypot(error, primary.error)
     elif "primary" in sources:
@@ -270,8 +270,9 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
         relative, part_errors = max(relative, floor), {name: max(own, floor) for name, own in part_errors.items()}
     met = relative <= MET * target and all(own <= MET * problem.accuracy.each_part for own in part_errors.values())
     return Estimate(
-        {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
-        {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
+        {name: light[name] for name in problem.components}, parts, np.sqrt(variance, out=variance), overflow,
+        relative, met, part_errors, {name: samplers[name] for name in problem.components},
+        {name: rays[name] for name in problem.components},
     )  # fmt: skip
 
 

@@ -178,7 +178,7 @@ def test_efforts_meet_the_targets_of_the_whole_and_of_objects() -> None:
     light = np.zeros((len(scene.part_names), 1, 4))
     light[:, 0, 0] = 0.0, 0.05, 1.0, 2.0
     squares, whole = np.array([1e-6, 3e-4, 5e-4, 0.0]), light.sum()
-    ball, bars, back, _ = precision_of(cuts, _Known(light, squares, 1.0), 1.0, 0.1)
+    ball, bars, back, _ = precision_of(cuts, _Known(light, light.sum(axis=0), squares, 1.0), 1.0, 0.1)
     own = squares[:3] / (0.2 * light[1:, 0, 0]) ** 2
     assert ball == pytest.approx(max(own[0], bars), rel=1e-12, abs=0)
     assert (np.array([ball, bars, back]) >= own * (1 - 1e-12)).all()
