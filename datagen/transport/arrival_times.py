@@ -148,9 +148,8 @@ def spread(  # type: ignore[no-untyped-def]
         wide1, wide2 = math.sqrt(max(wide1**2 - one, 0.0)), math.sqrt(max(wide2**2 - two, 0.0))
     m1, end1, tilt1 = _box(wide1, math.copysign(change[2], change[0] * change[2]))
     m2, end2, tilt2 = _box(wide2, math.copysign(change[3], change[1] * change[3]))
-    is_spread = end1 + end2 + m1 + m2 > 0.0
     # Light before the window or after it may be spread into it.
-    reach, T = m1 + m2 + 2 if is_spread else 0, histogram.shape[1] << shift
+    reach, T = m1 + m2 + 2, histogram.shape[1] << shift
     bins = T + 2 * reach
     first, last = fine * first + reach - tie, fine * last + reach + tie
     if not (last > 0.0 and first < bins):
@@ -162,28 +161,39 @@ def spread(  # type: ignore[no-untyped-def]
         if time[v] < bins:
             _add_steps(time[v], square[v], cube[v], steps)
     begin, end = np.uint64(max(first, 0.0)), np.uint64(min(last, bins - 1.0))
-    by, row = np.uint64(shift), np.uint64(row)
+    late, by, row = np.uint64(2 * reach), np.uint64(shift), np.uint64(row)
+    stop = min(end + late, np.uint64(bins - 1)) + np.uint64(1)
+    scale /= (2.0 * m1 + 1.0 + 2.0 * end1) * (2.0 * m2 + 1.0 + 2.0 * end2)
+    lean1, lean2 = (m1 + 1) * tilt1 * end1, (m2 + 1) * tilt2 * end2
+    a1, b1, a2, b2 = end1 - lean1, end1 + lean1, end2 - lean2, end2 + lean2
     s1 = s2 = s3 = 0.0
-    if not is_spread:
-        for i in range(begin, end + np.uint64(1)):
-            s1 += steps[i]
-            s2 += s1
-            s3 += s2
-            steps[i] = 0.0
-            here = scale * max(s3, 0.0)
-            inside += here
-            histogram[row, i >> by] += here
+    if m1 + m2 == 0:
+        # Of two boxes of three bins each five are left, of the newest light and that of four bins before.
+        c0, c1, c2, c3, c4 = (
+            scale * a1 * a2, scale * (a1 + a2), scale * (1.0 + a1 * b2 + b1 * a2), scale * (b1 + b2), scale * b1 * b2,
+        )  # fmt: skip
+        v1 = v2 = v3 = v4 = 0.0
+        for i in range(begin, stop):
+            v0 = 0.0
+            if i <= end:
+                s1 += steps[i]
+                s2 += s1
+                s3 += s2
+                steps[i] = 0.0
+                v0 = max(s3, 0.0)
+            if i >= late:
+                here = max(c0 * v0 + c1 * v1 + c2 * v2 + c3 * v3 + c4 * v4, 0.0)
+                inside += here
+                histogram[row, (i - late) >> by] += here
+            v1, v2, v3, v4 = v0, v1, v2, v3
     else:
-        late, k1, k2 = np.uint64(2 * reach), np.uint64(2 * m1 + 2), np.uint64(2 * m2 + 2)
-        stop = min(end + late, np.uint64(bins - 1)) + np.uint64(1)
+        k1, k2 = np.uint64(2 * m1 + 2), np.uint64(2 * m2 + 2)
         for i in range(begin, end + np.uint64(1)):
             s1 += steps[i]
             s2 += s1
             s3 += s2
             steps[i] = 0.0
             own[i + late] = max(s3, 0.0)
-        scale /= (2.0 * m1 + 1.0 + 2.0 * end1) * (2.0 * m2 + 1.0 + 2.0 * end2)
-        lean1, lean2 = (m1 + 1) * tilt1 * end1, (m2 + 1) * tilt2 * end2
         # `once` is m1 + 1 bins later than `own`, and what is spread twice m2 + 1 bins later than that. Of neighbours
         # s is the sum, and t that of each times how much later it becomes.
         s1 = s2 = t1 = t2 = 0.0
@@ -192,12 +202,12 @@ def spread(  # type: ignore[no-untyped-def]
             new, old = own[k - np.uint64(1)], own[k - k1]
             t1 += s1 - (m1 + 1) * old - m1 * new
             s1 += new - old
-            once[k] = s1 + tilt1 * t1 + (end1 - lean1) * own[k] + (end1 + lean1) * old
+            once[k] = s1 + tilt1 * t1 + a1 * own[k] + b1 * old
             new, old = once[k - np.uint64(1)], once[k - k2]
             t2 += s2 - (m2 + 1) * old - m2 * new
             s2 += new - old
             if i >= late:
-                here = scale * max(s2 + tilt2 * t2 + (end2 - lean2) * once[k] + (end2 + lean2) * old, 0.0)
+                here = scale * max(s2 + tilt2 * t2 + a2 * once[k] + b2 * old, 0.0)
                 inside += here
                 histogram[row, (i - late) >> by] += here
         for i in range(begin, stop):

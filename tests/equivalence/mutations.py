@@ -178,6 +178,10 @@ MUTATIONS = (
         "most = 1.0 / (m + 1.0)\n", "most, end = 1.0 / (m + 1.0), 0.0\n", SPREAD + "[as large-0]",
     ),
     Mutation(
+        "times: a narrow cluster without its last bin", "arrival_times.py",
+        "scale * b1 * b2", "0.0", SPREAD + "[a narrow cluster-0]",
+    ),
+    Mutation(
         "times: light that changes over a cluster the wrong way round", "arrival_times.py",
         "s1 + tilt1 * t1", "s1 - tilt1 * t1", SPREAD + "[a point, weights that change-0]",
     ),
