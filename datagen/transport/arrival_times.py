@@ -52,6 +52,10 @@ def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
 
 CORNERS, PLACES, BETWEEN, PARTS = _divided()
 """Of a triangle's parts."""
+MEETING = np.array(
+    [np.bincount(of[: 4**level].ravel(), minlength=CORNERS[-1]) for level, of in enumerate(PARTS)], float
+)
+"""Number of the parts of each level that meet at each corner (LEVELS + 1, CORNERS[-1])."""
 
 
 @compiled(forceinline=True, allocates=False)

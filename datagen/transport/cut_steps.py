@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, PARTS, PLACES, spread
+from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, MEETING, PARTS, PLACES, spread
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
@@ -186,9 +186,8 @@ def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
     """The number of a part, drawn by its light; u as a new random number; and the sum of the guesses at all corners
     of all parts."""
     total, last = 0.0, (1 << 2 * level) - 1
-    for part in range(last + 1):
-        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
-        total += at[a] + at[b] + at[c]
+    for v in range(CORNERS[level]):
+        total += MEETING[level, v] * at[v]
     rest = u * total
     for part in range(last + 1):
         a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
