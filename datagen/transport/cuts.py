@@ -114,9 +114,11 @@ class Run(NamedTuple):
 
 
 class Mean(NamedTuple):
-    """A mean over runs, photons: light (K, n, T), and the share (G,), by group, that the next run has in it."""
+    """A mean over runs, photons: light (K, n, T), total (n, T) of all parts, and the share (G,), by group, that the
+    next run has in it."""
 
     light: Floats
+    total: Floats
     share: Floats
 
 
@@ -203,9 +205,10 @@ class Cuts:
         are lit; all where none are given. known : light that the run's own is averaged with, in place.
         """
         K, T = len(self.problem.scene.part_names), self.problem.capture.time.bins
-        light, share = Mean(np.zeros((K, len(which), T)), np.ones(len(delta))) if known is None else known
-        outside, samples = np.zeros((K, len(which))), 0
-        square, whole = np.zeros((self.groups.max() + 1, len(which))), np.zeros(len(which))
+        n = len(which)
+        mean = Mean(np.zeros((K, n, T)), np.zeros((n, T)), np.ones(len(delta))) if known is None else known
+        outside, samples = np.zeros((K, n)), 0
+        square, whole = np.zeros((self.groups.max() + 1, n)), np.zeros(n)
         active, before = np.flatnonzero(~np.isnan(delta[self.groups])), self.expected[2]
         slot = np.full(K, -1)
         slot[active] = np.arange(len(active))
@@ -234,8 +237,8 @@ class Cuts:
                 step = max(VALUES_IN_CACHE // (len(active) * T), 1)
                 for at in range(0, len(some), step):
                     few = slice(at, at + step)
-                    self._take_up(both[:, :, few], active, some[few], light, share, square, whole)
-        return Run(light, outside, square, whole, samples, 0.5 * float(self.expected[2] - before))
+                    self._take_up(both[:, :, few], active, some[few], mean, square, whole)
+        return Run(mean.light, outside, square, whole, samples, 0.5 * float(self.expected[2] - before))
 
     def _zeros(self, *shape: int) -> Floats:
         """Zeros of some shape, in memory that is zero again after use."""
@@ -245,19 +248,24 @@ class Cuts:
         return self.memory[:count].reshape(shape)
 
     def _take_up(
-        self, both: Floats, active: Ints, rows: Ints, light: Floats, share: Floats, square: Floats, whole: Floats
+        self, both: Floats, active: Ints, rows: Ints, mean: Mean, square: Floats, whole: Floats
     ) -> None:  # fmt: skip
-        """Takes two replicates (2, A, m, T) of the light of the `active` parts (A,) in some `rows` (m,) into `light`,
+        """Takes two replicates (2, A, m, T) of the light of the `active` parts (A,) in some `rows` (m,) into `mean`,
         `square` and `whole` of `run`, and sets them to zero."""
-        one, two = both
-        for a, k in enumerate(active):
-            new, own = one[a] + two[a], share[self.groups[k]]
-            new *= 0.5 * own
-            if own < 1.0:
-                new += (1.0 - own) * light[k, rows]
-            light[k, rows] = new
+        (one, two), place, total = both, dict(zip(active, range(len(active)), strict=True)), np.zeros(both.shape[2:])
+        for k, group in enumerate(self.groups):
+            if k in place:
+                new, share = one[place[k]] + two[place[k]], mean.share[group]
+                new *= 0.5 * share
+                if share < 1.0:
+                    new += (1.0 - share) * mean.light[k, rows]
+                mean.light[k, rows] = new
+            else:
+                new = mean.light[k, rows]
+            total += new
+        mean.total[rows] = total
         one -= two
-        total = np.zeros(one.shape[1:])
+        total[:] = 0.0
         for group in np.unique(self.groups[active]):
             apart, *others = (one[a] for a in np.flatnonzero(self.groups[active] == group))
             for other in others:
@@ -327,8 +335,7 @@ class _Found:
         weight = np.nan_to_num(delta ** (-2 * FALLS))
         share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
         every = np.arange(self.cuts.pairs.histograms)
-        run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, share))
-        self.light.sum(axis=0, out=self.total)
+        run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, self.total, share))
         self.outside += share[self.cuts.groups][:, None] * (run.outside - self.outside)
         self.square += weight[:, None] ** 2 * run.square
         self.alike += weight[:, None] * np.sqrt(run.square)

@@ -11,7 +11,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.fields_of_view import FovPool, between, fov_points
-from datagen.transport.geometry import get, transmittance
+from datagen.transport.geometry import get
 from datagen.transport.problem import Problem
 
 SQUARES = (16, 256)
@@ -102,23 +102,20 @@ def _clusters(
     uv += (places[-squares:, :2] - 0.5 * side)[:, None]
     uv = uv.reshape(len(pixels), 2 * squares, 2)
     found = fov_points(problem.caster, problem.scene, sensor, problem.cones, pixels, uv, squares)
+    np.multiply(found.weight, np.exp(-problem.scene.attenuation_per_m * found.last_leg), out=found.weight)
     cluster = np.zeros((len(pixels), count, NUMBERS))
-    corner, air = sensor.pixels[pixels] - sensor.position, problem.scene.attenuation_per_m
-    _set_clusters(found, corner, sensor.position, air, places, cluster)
+    _set_clusters(found, sensor.pixels[pixels] - sensor.position, sensor.position, places, cluster)
     return found, cluster
 
 
 @compiled(allocates=False)
-def _set_clusters(found, corner, sensor, air, places, cluster):  # type: ignore[no-untyped-def]
-    """Sets the first n clusters (P, n, 18) of pixels with points `found` (P, Q), whose weights get the air.
+def _set_clusters(found, corner, sensor, places, cluster):  # type: ignore[no-untyped-def]
+    """Sets the first n clusters (P, n, 18) of pixels with points `found` (P, Q).
 
-    corner : (P, 4, 3) of the pixels, metres from the sensor, which is at `sensor` (3,). air : attenuation, 1/m.
-    places : (C, 3) of `_places`.
+    corner : (P, 4, 3) of the pixels, metres from the sensor, which is at `sensor` (3,). places : (C, 3) of `_places`.
     """
     points = found.part.shape[1]
     for p in range(len(cluster)):
-        for q in range(points):
-            found.weight[p, q] *= transmittance(air, found.last_leg[p, q])
         size, first = points, 0
         for c in range(cluster.shape[1]):
             _set_cluster(found, p, first, size, cluster[p, c])

@@ -156,7 +156,7 @@ MUTATIONS = (
     ),
     Mutation(
         "cuts: FoV points without the air to the sensor", "fov_clusters.py",
-        "*= transmittance(air, found.last_leg[p, q])", "*= 1.0",
+        "last_leg), out=found.weight)", "last_leg))",
         PATCH + "[wall-cuts]",
     ),
     Mutation(
