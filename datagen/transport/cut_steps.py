@@ -32,7 +32,7 @@ from datagen.transport.cut_elements import (
     open_cluster,
     push,
 )
-from datagen.transport.geometry import corner, distance, get, subtract
+from datagen.transport.geometry import corner, distance, get, subtract, transmittance
 from datagen.transport.rays import lifted_and_scaled
 from datagen.transport.sampling import mix
 from datagen.transport.weights import End, brdf_of, weight
@@ -205,6 +205,7 @@ def _drawn(walk, top, piece, squares, room, surface, lit, seen, at):  # type: ig
     squares : of the pixel.
     """
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
+    clear0 = clear1 = clear2 = 1.0
     is_box, is_opened = walk.tag[top, 0] == BOX, False
     if is_box:
         low, high = tree.span[f, 0], tree.span[f, 1]
@@ -222,13 +223,18 @@ def _drawn(walk, top, piece, squares, room, surface, lit, seen, at):  # type: ig
         least = 0 if not is_opened else 1 if 4 * OPENED * walk.tag[top, 4] > squares else 2
         while level < LEVELS and (level < least or across > EVEN * piece.slack):
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
+        # Air, which changes little over a piece, is interpolated: exponentials are no part of the loop over corners.
+        clear0 = transmittance(room.air, own[12] + distance(y0, seen.middle))
+        clear1 = transmittance(room.air, own[13] + distance(y1, seen.middle))
+        clear2 = transmittance(room.air, own[14] + distance(y2, seen.middle))
     for v in range(CORNERS[level]):
         s1, s2 = PLACES[v, 0], PLACES[v, 1]
         s0 = 1.0 - s1 - s2
         light = s0 * w0 + s1 * w1 + s2 * w2
         if max(s0, s1, s2) < 1.0:
             y = _part_corner(y0, y1, y2, v)
-            light = max(guess(y, n, surface, lit, seen, room.values, room.air, room.plane, 0.0)[0], LEAST * light)
+            clear = s0 * clear0 + s1 * clear1 + s2 * clear2
+            light = max(clear * guess(y, n, surface, lit, seen, room.values, 0.0, room.plane, 0.0)[0], LEAST * light)
         at[v] = light
     part, u, total = _drawn_part(at, level, walk.numbers[0])
     a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
