@@ -80,10 +80,6 @@ class Sampled(NamedTuple):
     outside: dict[str, Floats]
     cost: dict[str, float]
 
-    def squares(self, shape: tuple[int, int, int]) -> Floats:
-        """(L, P, T) squared standard errors of the sum of all components."""
-        return sum((of.reshape(shape) for of in self.variance.values()), start=np.zeros(shape))
-
     def overflow(self, shape: tuple[int, int, int]) -> Floats:
         """(L, P) photons of all components outside the window."""
         return sum((of.reshape(shape[:2]) for of in self.outside.values()), start=np.zeros(shape[:2]))

@@ -213,6 +213,8 @@ def _sampled(
             sources[name] = PathsOf(problem, name)
     assert target is not None
     found = sample_to_target(sources, known.shape, target, known, error)
+    if blocks is None:
+        return _Samples(sources, found)
     # In enclosures of narrow lobes blocks find little; paths, which follow the lobes, are better there.
     whole = l2_norm(known + sum(found.light.values()))
     poor = [
@@ -245,13 +247,13 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
     light = {name: of.reshape(shape) for name, of in found.light.items()}
     parts, part_errors = dict[str, Floats](), dict[str, float]()
     samplers = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in sources.items()}
-    variance, overflow, rays = found.squares(shape), found.overflow(shape), dict(found.cost)
+    squares, overflow, rays = list(found.variance.values()), found.overflow(shape), dict(found.cost)
     error = math.hypot(*found.error.values())
     if primary is not None:
         light["primary"] = primary.total.reshape(shape)
         parts = {name: of.reshape(shape) for name, of in zip(problem.parts, primary.light, strict=False)}
         samplers["primary"], rays["primary"] = "cuts", primary.rays
-        variance += primary.variance.reshape(shape)
+        squares.append(primary.variance)
         overflow = overflow + primary.outside.reshape(shape[:2])
         part_errors, error = primary.part_errors, math.hypot(error, primary.error)
     elif "primary" in sources:
@@ -268,11 +270,11 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
         # Replicates agree in what no ray can know.
         floor = known_to(problem.scene, problem.caster, problem.points, problem.capture.time)
         relative, part_errors = max(relative, floor), {name: max(own, floor) for name, own in part_errors.items()}
+    stderr = np.sqrt(sum(squares[1:], start=squares[0])).reshape(shape)
     met = relative <= MET * target and all(own <= MET * problem.accuracy.each_part for own in part_errors.values())
     return Estimate(
-        {name: light[name] for name in problem.components}, parts, np.sqrt(variance, out=variance), overflow,
-        relative, met, part_errors, {name: samplers[name] for name in problem.components},
-        {name: rays[name] for name in problem.components},
+        {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
+        {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
     )  # fmt: skip
 
 
