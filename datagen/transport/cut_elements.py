@@ -40,6 +40,10 @@ COARSEST_CLUSTER = 0.7
 """The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
+EVEN, STRAIGHT = 0.05, 0.005
+"""Square of an element's size over its distance up to which its weights count as linear, and bend of its arrival
+times, relative to their span, up to which they do: both for an element of as much light as its histogram may err by,
+and less in proportion for one of more. Replicates cannot see what is wrong with shapes: 0.2 % where 2 % are asked."""
 BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
@@ -121,8 +125,8 @@ class Piece(NamedTuple):
     verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
     bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
     square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
-    within the window. slack : the L2 error that is asked of a histogram, relative to the L2 norm of the piece's light
-    as guessed.
+    within the window. even, straight : square of its size
+    over its distance, and bend relative to its width, up to which its weights and its times count as linear.
     """
 
     verdict: int
@@ -132,7 +136,8 @@ class Piece(NamedTuple):
     bend: float
     across: float
     inside: bool
-    slack: float
+    even: float
+    straight: float
 
 
 class Walk(NamedTuple):
@@ -363,21 +368,23 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def judged(walk, top, n, delta, error, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def judged(walk, top, n, delta, error, most_slack, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 
-    error : L2 error that is asked of a histogram, photons. leg, last_leg : from the laser, and to the sensor, metres.
+    error : L2 error that is asked of a histogram, photons. most_slack : most times that `STRAIGHT` is exceeded by a
+    piece of little light: there may be many, such as needles, whose times are bent alike. leg, last_leg : from the
+    laser, and to the sensor, metres.
     """
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
+        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0, 0.0)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
     # Over a cluster the light must be linear.
     if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
-        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
+        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0, 0.0)
     t0, t1, t2 = (
         piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
     )  # fmt: skip
@@ -385,7 +392,7 @@ def judged(walk, top, n, delta, error, leg, last_leg, room, surface, lit, seen):
     leg += last_leg if room.device else 0.0
     is_inside = may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
+        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0, 0.0)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     is_matt = lit.brdf.kind == LAMBERTIAN and seen.brdf.kind == LAMBERTIAN and surface.brdf.kind == LAMBERTIAN
@@ -399,10 +406,11 @@ def judged(walk, top, n, delta, error, leg, last_leg, room, surface, lit, seen):
     # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
     verdict, light, worth = SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
     slack = error * math.sqrt(width) / light if light > 0.0 else np.inf
+    even, straight = EVEN * slack, STRAIGHT * min(slack, most_slack)
     if is_inside:
         arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
             verdict = CLUSTER_FIRST
         elif may_halve and light * (1.0 + BENT * bend / width) > worth:
             verdict = HALVES
-    return Piece(verdict, most, area, width, bend, across, is_inside, slack)
+    return Piece(verdict, most, area, width, bend, across, is_inside, even, straight)

@@ -36,8 +36,9 @@ from datagen.units import path_from_time
 
 COARSER = 30.0
 """δ of the first pilot, in units of that with which all elements together would err by their light."""
-FEW = 32
-"""Most pairs of laser point and pixel of a pilot."""
+FEW, FEWEST = 32, 6
+"""Most histograms of a pilot, and fewest: if there are less, each is run several times, as a few elements may by
+chance meet only shadow."""
 PILOTS, STEP, CLOSE = 6, 6.0, 1.5
 """Most pilots; most that δ falls from one to the next; and by how much it must for another one."""
 FIRST = 16
@@ -49,11 +50,15 @@ LEAST_CHANCE = 0.02
 """Least chance of an element of a flood to get a sample."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
-SCATTER, SHARED = 0.75, 0.5
-"""Squared errors over that by which two replicates differ: of what averages out over runs, and of shapes that are
-alike in all of them. As measured."""
-DEGREES = 6.0
-"""Independent histograms, counted by their light, over all runs, from which an error is known to 30 %."""
+SHAPES = 0.15
+"""What shapes of light in time may err by, alike in both replicates, relative to the error asked: 0.1 in the median
+of rooms, measured with elements of a hundredth of the light."""
+SCATTER, SHARED = 0.55, 0.4
+"""Squared errors over that by which two replicates differ: of what averages out over runs, and of pieces that all of
+them have: as measured on foreign rooms."""
+DEGREES, DEVIATE = 6.0, 1.645
+"""Independent histograms, counted by their light, over all runs, from which claims hold; and the normal deviate that
+is exceeded in 5 % of cases."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
 FINEST, COARSEN = 100.0, 16.0
@@ -134,8 +139,8 @@ class Cuts:
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
     most : elements of a histogram. error : (G,) L2 error that is asked of each group in a histogram, photons, which
-    decides how exact the shapes of light in time are. expected : (3,) of `emit`, of all runs so far. is_limited :
-    whether one had `most` in the mean.
+    decides how exact the shapes of light in time are. runs : that will be added up. expected : (3,) of `emit`, of all
+    runs so far. is_limited : whether one had `most` in the mean.
     """
 
     def __init__(self, problem: Problem, target: float, beside: Beside | None = None) -> None:
@@ -159,7 +164,8 @@ class Cuts:
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
-        self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
+        self.slack = np.where(self.of_objects, problem.accuracy.each_part, target) / FINE
+        self.runs, self.is_limited, self.error = 1, False, np.full(self.groups.max() + 1, COARSE)
         self.memory = np.zeros(0)
         self.widest, self.workspace = 0.0, reserved(axis.bins, 0.0)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
@@ -215,7 +221,7 @@ class Cuts:
         slot[active] = np.arange(len(active))
         # The elements of one laser point are no more than those that a histogram needs.
         least = max(LEAST_CHANCE, 1.0 / self.points) if points is None else 1.0
-        asked = Asked(delta[self.groups], slot, self.error[self.groups], least)
+        asked = Asked(delta[self.groups], slot, self.error[self.groups], self.slack, least, self.runs)
         pixel_of = self.pairs.ends[which, 1]
         squares = self.squares[pixel_of]
         for count in np.unique(squares):
@@ -337,7 +343,17 @@ class _Found:
         weight = np.nan_to_num(delta ** (-2 * FALLS))
         share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
         every = np.arange(self.cuts.pairs.histograms)
-        run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, self.total, share))
+        self._count(self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, self.total, share)), delta)
+
+    def begin(self, run: Run, delta: Floats) -> None:
+        """Begin with a run of all pairs that was there before."""
+        self.light[:], self.total[:] = run.light, run.light.sum(axis=0)
+        self._count(run, delta)
+
+    def _count(self, run: Run, delta: Floats) -> None:
+        """Count a run whose light has been taken up."""
+        weight = np.nan_to_num(delta ** (-2 * FALLS))
+        share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
         self.outside += share[self.cuts.groups][:, None] * (run.outside - self.outside)
         self.square += weight[:, None] ** 2 * run.square
         self.alike += weight[:, None] * np.sqrt(run.square)
@@ -353,6 +369,12 @@ class _Found:
         """(G,) precision, above 0 for groups that were never run, too."""
         return np.asarray(np.maximum(self.precision, LEAST_LIGHT))
 
+    def _claimed(self, squares: Floats) -> float:
+        """The L2 error that is claimed of light whose histograms differ by squares (H,) between replicates."""
+        total = float(squares.sum())
+        degrees = self.runs * total**2 / max(float(np.square(squares).sum()), LEAST_LIGHT**2)
+        return raised(degrees) * math.sqrt(total)
+
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
         cuts, light, total = self.cuts, self.light, self.total
@@ -363,15 +385,27 @@ class _Found:
         energy = total.sum(axis=1)
         share = np.divide(of_pairs, energy, out=np.zeros_like(energy), where=energy > 0)
         norms, names = cuts.norms(light, 1.0), cuts.problem.scene.part_names
+        shapes = SHAPES * math.sqrt(cuts.pairs.histograms) * cuts.error
         errors = {
-            names[k]: math.sqrt(each[cuts.groups[k]].sum()) / float(norms[k])
+            names[k]: math.hypot(self._claimed(each[cuts.groups[k]]), shapes[cuts.groups[k]]) / float(norms[k])
             for k in np.flatnonzero(cuts.worth(norms, cuts.norm(total, 1.0)))
         }
         outside = self.outside.sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
-            rows, total, outside, share[:, None] * total, math.sqrt(of_pairs.sum()), errors, 2.0 * self.samples
+            rows, total, outside, share[:, None] * total, math.hypot(self._claimed(of_pairs), shapes.max()), errors,
+            2.0 * self.samples,
         )  # fmt: skip
+
+
+def raised(degrees: float) -> float:
+    """How many times the root of a mean square with few degrees of freedom is claimed; 1 from `DEGREES` on.
+
+    Half the logarithm of the ratio of two such mean squares, by which replicates differ and by which the light errs,
+    is about normal with the variance 1/ν (Fisher's z): raised by exp(1.645 (ν^(−½) − 6^(−½))) a claim is exceeded as
+    far, in 5 % of cases, as one with 6.
+    """
+    return math.exp(DEVIATE * max(max(degrees, 1.0) ** -0.5 - DEGREES**-0.5, 0.0))
 
 
 class _Known(NamedTuple):
@@ -397,31 +431,31 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     seen = _first_look(cuts)
     if not seen.light.any():
         return _dark(cuts, seen)
-    known, delta = _pilot(cuts, seen, target)
+    found = _Found(cuts, problem.capture.time.bins)
+    known, delta = _pilot(cuts, seen, target, found)
     if cuts.knows_little:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often; unless there is
     # less of it than the error that is asked.
     each = np.square(known.total).sum(axis=1)
-    histograms = known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT)
-    times = int(np.clip(math.ceil(DEGREES / max(histograms, 1.0)), 1, DEGREES))
-    if _is_faint(cuts, known, target):
-        times = 1
-    found = _Found(cuts, problem.capture.time.bins)
+    histograms = max(known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT), 1.0)
+    least = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
+    cuts.error = _allowed(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
+    cuts.runs = least
     for turn in range(RUNS):
         if turn:
             known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
-        there = found.precision / times
-        wanted = _precision(cuts, known, SCATTER / times + SHARED, target) - there
-        again = (wanted > ENOUGH * there) | (turn == 0)
+        runs, there = max(least - found.runs, 1), found.precision / max(least, found.runs)
+        wanted = _precision(cuts, known, SCATTER / least + SHARED, target) - there
+        again = (wanted > ENOUGH * there) | (found.runs < least)
         if not again.any():
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
         # coarser than what is known, as the error of small objects may rise steeply.
-        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, delta if turn else COARSEN * delta), delta)
+        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, COARSEN * delta), delta)
         asked = np.where(again, delta, np.nan)
-        for _ in range(times):
+        for _ in range(runs):
             found.add(asked)
     return found.result()
 
@@ -489,18 +523,21 @@ def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
     )  # fmt: skip
 
 
-def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
+def _pilot(cuts: Cuts, seen: _Seen, target: float, found: _Found) -> tuple[_Known, Floats]:
     """What runs of a few histograms tell, and δ (G,) of the last of them, which is not much coarser than what
-    follows: of much finer elements it would tell nothing."""
-    few = _spread(cuts, cuts.pairs.histograms, FEW)
-    more, bins = cuts.pairs.histograms / len(few), cuts.problem.capture.time.bins
+    follows: of much finer elements it would tell nothing. If these are all histograms, once each, it is found."""
+    H, bins = cuts.pairs.histograms, cuts.problem.capture.time.bins
+    few = np.tile(_spread(cuts, H, FEW), -(-FEWEST // H))
+    more = H / len(few)
     cuts.error = _asked(cuts, seen, target)
     delta = COARSER * cuts.error
     light, again = np.zeros((len(cuts.groups), len(few), bins)), delta > 0.0
+    outside, square = np.zeros((len(cuts.groups), len(few))), np.zeros((len(delta), len(few)))
     known = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more)
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
-        light[again[cuts.groups]] = run.light[again[cuts.groups]]
+        anew = again[cuts.groups]
+        light[anew], outside[anew], square[again] = run.light[anew], run.outside[anew], run.square[again]
         known = known._replace(total=light.sum(axis=0))
         known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
         wanted = _precision(cuts, known, SCATTER + SHARED, target)
@@ -509,22 +546,30 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
         if turn == PILOTS - 1 or not again.any() or cuts.knows_little:
             break
         delta = np.where(again, np.maximum(finer, delta / STEP), delta)
+    if len(few) == H:
+        found.begin(Run(light, outside, square, square.sum(axis=0), 0, 0.0), delta)
     return known, delta
 
 
 def _asked(cuts: Cuts, seen: _Seen, target: float) -> Floats:
     """(G,) L2 error that is asked of each group in a histogram, photons, from a look at a few."""
-    accuracy, n = cuts.problem.accuracy, len(seen.which)
-    more = cuts.pairs.histograms / n
+    root = math.sqrt(cuts.pairs.histograms / len(seen.which))
     # Of all histograms.
-    primary = math.sqrt(more) * _without_noise(seen.light.sum(axis=0), seen.whole)
-    whole = max(math.hypot(primary, cuts.beside.whole), LEAST_LIGHT)
+    primary = root * _without_noise(seen.light.sum(axis=0), seen.whole)
+    squares = seen.square[cuts.groups]
+    own = np.array([root * _without_noise(of, square) for of, square in zip(seen.light, squares, strict=True)])
+    return _allowed(cuts, np.hypot(own, cuts.beside.parts), math.hypot(primary, cuts.beside.whole), target)
+
+
+def _allowed(cuts: Cuts, norms: Floats, whole: float, target: float) -> Floats:
+    """(G,) L2 error that is asked of each group in a histogram, photons, from the L2 norms of the light of each part
+    (K,) and of the whole."""
+    whole = max(whole, LEAST_LIGHT)
     asked = np.full(cuts.groups.max() + 1, target * whole)
     for k in np.flatnonzero(cuts.of_objects):
         # Few elements may miss an object: what is not seen may have as much light as counts.
-        own = math.sqrt(more) * _without_noise(seen.light[k], seen.square[cuts.groups[k]])
-        own = max(math.hypot(own, cuts.beside.parts[k]), cuts.least(whole))
-        asked[cuts.groups[k]] = min(target * whole, accuracy.each_part * own)
+        own = max(norms[k], cuts.least(whole))
+        asked[cuts.groups[k]] = min(target * whole, cuts.problem.accuracy.each_part * own)
     return asked / math.sqrt(cuts.pairs.histograms)
 
 

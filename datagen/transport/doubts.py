@@ -85,6 +85,14 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
             )
 
 
+def has_none(scene: Scene, caster: Raycaster, points: LaserPoints) -> bool:
+    """Whether no light can go around a corner, whatever rays met: no part of the scene lies before a laser point
+    whose surface is not black."""
+    is_lit = points.part >= 0
+    is_lit[is_lit] = [scene.materials[k].albedo > 0 for k in points.part[is_lit]]
+    return _nothing_before(scene, points.position[is_lit], points.normal[is_lit], 2 * caster.offset_m)
+
+
 def known_to(scene: Scene, caster: Raycaster, points: LaserPoints, time: TimeAxis) -> float:
     """The relative error of light below which rays cannot know it: their offset over a common leg, and over the scene
     at least."""

@@ -61,8 +61,8 @@ class PathsOf:
         self.problem, self.pairs = problem, problem.pairs
         self.rows = Rows.of_components(problem, (component,))
         self.histograms = [np.arange(self.pairs.histograms)]
-        # About what a pixel collects of light of 1 W/m² at the wall: in this unit light has room in single precision.
-        self.unit = problem.capture.sensor.aperture_area_m2 * float(problem.cones.solid_angle.max())
+        # The most light of a bin in the first block that has some: in this unit light has room in single precision.
+        self.unit = 0.0
         self.samples = max(PILOT // max(len(self.pairs.ends), 2), 1)
         # Parts have to add up to the whole.
         self.can_blur = self.rows.count == 1
@@ -89,7 +89,8 @@ class PathsOf:
         for some, own in self.pairs.in_calls(self.rows.count * light.shape[1]):
             stream = 1, replicate, number, some.start
             found = self.rows.light(self.problem, own, some.stop - some.start, self.samples, stream)
-            light[some] += found.sum(axis=0) / self.unit
+            self.unit = self.unit or float(found.max())
+            light[some] += found.sum(axis=0) / (self.unit or 1.0)
             if self.parts is not None:
                 self.parts[:, some] += found[..., 1:-1]
         self.blocks += 1

@@ -22,7 +22,7 @@ from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
 from datagen.transport.coincidence import set_apart
 from datagen.transport.cuts import Beside, PrimaryLight, primary_by_cuts
-from datagen.transport.doubts import doubts, known_to
+from datagen.transport.doubts import doubts, has_none, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
 from datagen.transport.flood import Beam, at_flooded_sensor, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
@@ -261,10 +261,11 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
         assert isinstance(by_paths, PathsOf)
         parts = {name: of.reshape(shape) for name, of in by_paths.light_of_parts().items()}
     norm = l2_norm(sum(light.values(), start=first.reshape(shape)))
-    # That none of much light was met within the window does not say how much there is. Cuts know where they looked at
-    # all laser points, which they do not for a flood.
+    # That no light was met does not say that there is none. Cuts know where they looked at all laser points, which
+    # they do not for a flood.
     is_proven = primary is not None and not sources and not error and problem.capture.illumination != "flood"
-    is_known = is_proven or not overflow.any() or _ends_before_light(problem)
+    is_known = is_proven or _ends_before_light(problem)
+    is_known |= not problem.accuracy.direct and has_none(problem.scene, problem.caster, problem.points)
     relative = error / norm if norm > 0 else 0.0 if is_known else math.nan
     if norm > 0:
         # Replicates agree in what no ray can know.
