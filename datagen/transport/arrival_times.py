@@ -16,7 +16,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
-LEVELS, FINEST = 3, 3
+LEVELS, FINEST = 2, 3
 """Most times that a triangle is quartered, and that a bin is halved."""
 TIE, TIED = 1e-4, 0.05
 """Corners of a part need times of their own: those of a triangle are tilted, one late and one early, by this share of

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
+from datagen.transport.arrival_times import LEVELS
 from datagen.transport.brdf import LAMBERTIAN, Vector, dot, evaluate_at_most
 from datagen.transport.bvh import CLUSTER, Hierarchy
 from datagen.transport.fov_clusters import SAGITTA
@@ -40,10 +41,13 @@ COARSEST_CLUSTER = 0.7
 """The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
-EVEN, STRAIGHT = 0.05, 0.005
+EVEN, STRAIGHT = 0.05, 0.04
 """Square of an element's size over its distance up to which its weights count as linear, and bend of its arrival
 times, relative to their span, up to which they do: both for an element of as much light as its histogram may err by,
 and less in proportion for one of more. Replicates cannot see what is wrong with shapes: 0.2 % where 2 % are asked."""
+DIVIDED = 4.0**LEVELS
+"""How many times straighter than a piece its smallest parts are; what they cannot make straight is halved (a needle
+of two triangles erred by 3.2 % otherwise, and a room needs a third fewer elements)."""
 BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
@@ -411,6 +415,6 @@ def judged(walk, top, n, delta, error, most_slack, leg, last_leg, room, surface,
         arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
             verdict = CLUSTER_FIRST
-        elif may_halve and light * (1.0 + BENT * bend / width) > worth:
+        elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > DIVIDED * straight * width):
             verdict = HALVES
     return Piece(verdict, most, area, width, bend, across, is_inside, even, straight)
