@@ -41,13 +41,14 @@ COARSEST_CLUSTER = 0.7
 """The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
-EVEN, STRAIGHT = 0.05, 0.04
+EVEN, CURVED = 0.05, 0.04
 """Square of an element's size over its distance up to which its weights count as linear, and bend of its arrival
-times, relative to their span, up to which they do: both for an element of as much light as its histogram may err by,
-and less in proportion for one of more. Replicates cannot see what is wrong with shapes: 0.2 % where 2 % are asked."""
+times, relative to their span, that its parts have at most before it is halved: both for an element of as much light
+as its histogram may err by, and less in proportion for one of more. Replicates cannot see what is wrong with shapes:
+0.2 % where 2 % are asked. A needle of two triangles erred by 3.2 % where bends were not halved, and rooms by half as
+much again for the same time."""
 DIVIDED = 4.0**LEVELS
-"""How many times straighter than a piece its smallest parts are; what they cannot make straight is halved (a needle
-of two triangles erred by 3.2 % otherwise, and a room needs a third fewer elements)."""
+"""How many times straighter than a piece its smallest parts are."""
 BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
@@ -129,8 +130,8 @@ class Piece(NamedTuple):
     verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
     bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
     square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
-    within the window. even, straight : square of its size
-    over its distance, and bend relative to its width, up to which its weights and its times count as linear.
+    within the window. even : square of its size over its
+    distance up to which its weights count as linear.
     """
 
     verdict: int
@@ -141,7 +142,6 @@ class Piece(NamedTuple):
     across: float
     inside: bool
     even: float
-    straight: float
 
 
 class Walk(NamedTuple):
@@ -372,23 +372,22 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def judged(walk, top, n, delta, error, most_slack, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def judged(walk, top, n, delta, error, straight, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 
-    error : L2 error that is asked of a histogram, photons. most_slack : most times that `STRAIGHT` is exceeded by a
-    piece of little light: there may be many, such as needles, whose times are bent alike. leg, last_leg : from the
-    laser, and to the sensor, metres.
+    error : L2 error that is asked of a histogram, photons. straight : of `Asked`. leg, last_leg : from the laser, and
+    to the sensor, metres.
     """
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0, 0.0)
+        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
     # Over a cluster the light must be linear.
     if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
-        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0, 0.0)
+        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     t0, t1, t2 = (
         piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
     )  # fmt: skip
@@ -396,7 +395,7 @@ def judged(walk, top, n, delta, error, most_slack, leg, last_leg, room, surface,
     leg += last_leg if room.device else 0.0
     is_inside = may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0, 0.0)
+        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     is_matt = lit.brdf.kind == LAMBERTIAN and seen.brdf.kind == LAMBERTIAN and surface.brdf.kind == LAMBERTIAN
@@ -410,11 +409,11 @@ def judged(walk, top, n, delta, error, most_slack, leg, last_leg, room, surface,
     # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
     verdict, light, worth = SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
     slack = error * math.sqrt(width) / light if light > 0.0 else np.inf
-    even, straight = EVEN * slack, STRAIGHT * min(slack, most_slack)
+    bent = DIVIDED * max(CURVED * slack, straight) * width
     if is_inside:
         arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
             verdict = CLUSTER_FIRST
-        elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > DIVIDED * straight * width):
+        elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > bent):
             verdict = HALVES
-    return Piece(verdict, most, area, width, bend, across, is_inside, even, straight)
+    return Piece(verdict, most, area, width, bend, across, is_inside, EVEN * slack)

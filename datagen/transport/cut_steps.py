@@ -41,16 +41,13 @@ LEAST = 0.1
 """Least density of the hidden point on an element, relative to the largest: bounds the weight where a guess is 0."""
 POINTS = 4
 """Most FoV points that a hidden point is joined to, a power of 4; one of them, drawn by its light, gets a ray."""
-OPENED, WIDE = 16, 2.0
+OPENED = 16
 """Where a pixel was opened into so many clusters, samples are spread over a quarter of a piece, where into four times
-as many over a sixteenth: each cluster draws its own, but the shape of a whole piece would be alike in all. A triangle
-that was never halved, and spreads over so many bins, over a quarter where several runs have it."""
+as many over a sixteenth: each cluster draws its own, but the shape of a whole piece would be alike in all."""
 FINE, LEAST_WIDTH = (2.0, 8.0, 24.0), 1e-3
 """Bins over which an element's times spread up to which its light is spread over a cluster by eighths, quarters and
 halves of a bin (by whole bins rooms erred by 1.2 to 1.6 times as much); and a change of times over a cluster that is
 none, bins."""
-WHOLE = 0.999
-"""Share of a triangle's area that only the triangle itself has."""
 UNEVEN = 0.5
 """Range of the place at which pieces are halved, relative to their side: no two replicates have the same elements."""
 STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
@@ -59,16 +56,15 @@ STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
 class Asked(NamedTuple):
     """What is asked of each part (K,): delta, photons that an element brings at most; slot, the place of the part's
-    rows, −1 for parts that are left out; error, L2 error that its histogram may have, photons; slack, `most_slack` of
-    `judged`. least : chance, at least, of an element that brings much less to get a sample, which then stands for all
-    those that get none. runs : that will be added up."""
+    rows, −1 for parts that are left out; error, L2 error that its histogram may have, photons. straight : bend of the
+    times over a part of an element, relative to their span, up to which they count as linear. least : chance, at
+    least, of an element that brings much less to get a sample, which then stands for all those that get none."""
 
     delta: Floats
     slot: Ints
     error: Floats
-    slack: Floats
+    straight: float
     least: float
-    runs: int
 
 
 class Pair(NamedTuple):
@@ -200,10 +196,10 @@ def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _drawn(walk, top, piece, squares, runs, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
+def _drawn(walk, top, piece, squares, straight, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
     """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes.
 
-    squares : of the pixel. runs : that will be added up.
+    squares : of the pixel. straight : of `Asked`.
     """
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
     clear0 = clear1 = clear2 = 1.0
@@ -222,8 +218,6 @@ def _drawn(walk, top, piece, squares, runs, room, surface, lit, seen, at):  # ty
         w0, w1, w2 = max(own[9], least), max(own[10], least), max(own[11], least)
         is_opened = OPENED * walk.tag[top, 4] <= squares
         least = 0 if not is_opened else 1 if 4 * OPENED * walk.tag[top, 4] > squares else 2
-        if runs > 1 and piece.width > WIDE and area > WHOLE * (tree.area[f + 1] - tree.area[f]):
-            is_opened, least = True, max(least, 1)
         while level < LEVELS and (level < least or across > piece.even):
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
         # Air, which changes little over a piece, is interpolated: exponentials are no part of the loop over corners.
@@ -251,7 +245,7 @@ def _drawn(walk, top, piece, squares, runs, room, surface, lit, seen, at):  # ty
         y0, y1, y2 = _part_corner(y0, y1, y2, a), _part_corner(y0, y1, y2, b), _part_corner(y0, y1, y2, c)
         at[0], at[1], at[2], level = at[a], at[b], at[c], 0
     # For their times, which bend more than weights, parts are divided further.
-    while not is_box and bend > piece.straight * piece.width and level < LEVELS:
+    while not is_box and bend > straight * piece.width and level < LEVELS:
         for v in range(CORNERS[level], CORNERS[level + 1]):
             at[v] = 0.5 * (at[BETWEEN[v, 0]] + at[BETWEEN[v, 1]])
         level, bend = level + 1, 0.25 * bend
@@ -325,11 +319,11 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
 
 
 @compiled(forceinline=True, allocates=False)
-def _sample(walk, top, piece, chance, replicate, runs, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
+def _sample(walk, top, piece, chance, replicate, straight, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`, which is drawn with some chance; returns
     whether it brings light."""
     squares = len(pool.part) // (2 * len(pool.cluster))
-    hidden = _drawn(walk, top, piece, squares, runs, room, surface, pair.lit, seen, batch.at[used])
+    hidden = _drawn(walk, top, piece, squares, straight, room, surface, pair.lit, seen, batch.at[used])
     lobe, many = min(surface.lobe, seen.lobe), walk.tag[top, 4]
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
     expected[0] += seen.gain * hidden.light / chance
@@ -389,7 +383,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 top = 1
             while top > 0:
                 top -= 1
-                enough = asked.delta[k] if at[3] < most else COARSE
+                enough, error = (asked.delta[k], asked.error[k]) if at[3] < most else (COARSE, COARSE)
                 seen = cluster_of(room, pool, p, tag[top, 2], ends.power)
                 if tag[top, 0] == BOX:
                     light = light_of_box(
@@ -403,11 +397,11 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                     if light == np.inf or (inside and guessed > enough):
                         top = open_box(walk, top, room, surface, lit, seen)
                         continue
-                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside, 0.0, 0.0)
+                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside, 0.0)
                 else:
                     n = get(room.tree.normal, tag[top, 1], 0)
                     piece = judged(
-                        walk, top, n, enough, asked.error[k], asked.slack[k], ends.leg, pool.leg[seen.one], room,
+                        walk, top, n, enough, error, asked.straight, ends.leg, pool.leg[seen.one], room,
                         surface, lit, seen
                     )  # fmt: skip
                     if piece.verdict == CLUSTER_FIRST:
@@ -434,7 +428,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                     piece,
                     chance,
                     replicate,
-                    asked.runs,
+                    asked.straight,
                     room,
                     pool,
                     surface,

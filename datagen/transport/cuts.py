@@ -50,6 +50,9 @@ LEAST_CHANCE = 0.02
 """Least chance of an element of a flood to get a sample."""
 FALLS = 0.55
 """Power of δ with which errors fall, as measured."""
+STRAIGHT = 0.25
+"""Bend of the times over parts of elements, relative to their span, in units of the relative error asked: a screen of
+needles errs by five times its bend."""
 SHAPES = 0.15
 """What shapes of light in time may err by, alike in both replicates, relative to the error asked: 0.1 in the median
 of rooms, measured with elements of a hundredth of the light."""
@@ -139,8 +142,8 @@ class Cuts:
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
     most : elements of a histogram. error : (G,) L2 error that is asked of each group in a histogram, photons, which
-    decides how exact the shapes of light in time are. runs : that will be added up. expected : (3,) of `emit`, of all
-    runs so far. is_limited : whether one had `most` in the mean.
+    decides how exact the shapes of light in time are. expected : (3,) of `emit`, of all runs so far. is_limited :
+    whether one had `most` in the mean.
     """
 
     def __init__(self, problem: Problem, target: float, beside: Beside | None = None) -> None:
@@ -164,8 +167,8 @@ class Cuts:
         self.of_objects = np.array([role == "object" for role in scene.roles])
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
-        self.slack = np.where(self.of_objects, problem.accuracy.each_part, target) / FINE
-        self.runs, self.is_limited, self.error = 1, False, np.full(self.groups.max() + 1, COARSE)
+        self.straight = STRAIGHT * target
+        self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
         self.memory = np.zeros(0)
         self.widest, self.workspace = 0.0, reserved(axis.bins, 0.0)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
@@ -221,7 +224,7 @@ class Cuts:
         slot[active] = np.arange(len(active))
         # The elements of one laser point are no more than those that a histogram needs.
         least = max(LEAST_CHANCE, 1.0 / self.points) if points is None else 1.0
-        asked = Asked(delta[self.groups], slot, self.error[self.groups], self.slack, least, self.runs)
+        asked = Asked(delta[self.groups], slot, self.error[self.groups], self.straight, least)
         pixel_of = self.pairs.ends[which, 1]
         squares = self.squares[pixel_of]
         for count in np.unique(squares):
@@ -441,7 +444,6 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     histograms = max(known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT), 1.0)
     least = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
     cuts.error = _allowed(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
-    cuts.runs = least
     for turn in range(RUNS):
         if turn:
             known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
