@@ -82,6 +82,20 @@ def _set_knots(level, at, time, square, cube):  # type: ignore[no-untyped-def]
     return total
 
 
+@compiled(allocates=False)
+def _tilted(level, at):  # type: ignore[no-untyped-def]
+    """By how much times become later in the mean, weighted by `at`, where corners are tilted by one."""
+    total = later = 0.0
+    for part in range(1 << 2 * level):
+        a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
+        one, two, three = PLACES[a, 0] - PLACES[a, 1], PLACES[b, 0] - PLACES[b, 1], PLACES[c, 0] - PLACES[c, 1]
+        # Of a product of two linear functions over a triangle.
+        own = at[a] + at[b] + at[c]
+        later += own * (one + two + three) + at[a] * one + at[b] * two + at[c] * three
+        total += own
+    return later / (8.0 * total)
+
+
 @compiled(forceinline=True, allocates=False)
 def _add_steps(t, q, c, steps):  # type: ignore[no-untyped-def]
     """Adds to steps so that their threefold running sum is the light of each bin, if q (x − t)² + c (x − t)³ is that
@@ -147,9 +161,10 @@ def spread(  # type: ignore[no-untyped-def]
     if wide1 + wide2 > 0.0 and span < 2.0:
         # What is narrower than steps is shared by two of them, so that its mean is kept: tilted by two it is a linear
         # spline. The wider box gives back the variance that is added, a twelfth of half the square.
-        tie = max(tie, 2.0 - span)
+        tie = max(tie, min(2.0 - span, math.sqrt(2.0) * max(wide1, wide2)))
         one, two = (0.5 * tie**2, 0.0) if wide1 > wide2 else (0.0, 0.5 * tie**2)
         wide1, wide2 = math.sqrt(max(wide1**2 - one, 0.0)), math.sqrt(max(wide2**2 - two, 0.0))
+    more = _tilted(level, at) if tie > TIED else 0.0
     m1, end1, tilt1 = _box(wide1, math.copysign(change[2], change[0] * change[2]))
     m2, end2, tilt2 = _box(wide2, math.copysign(change[3], change[1] * change[3]))
     # Light before the window or after it may be spread into it.
@@ -159,7 +174,7 @@ def spread(  # type: ignore[no-untyped-def]
     if not (last > 0.0 and first < bins):
         return light
     for v in range(n):
-        time[v] = fine * time[v] + 0.5 * tie * (PLACES[v, 0] - PLACES[v, 1]) + reach
+        time[v] = fine * time[v] + tie * (0.5 * (PLACES[v, 0] - PLACES[v, 1]) - more) + reach
     scale, inside = light / _set_knots(level, at, time, square, cube), 0.0
     for v in range(n):
         if time[v] < bins:

@@ -416,4 +416,4 @@ def judged(walk, top, n, delta, error, straight, leg, last_leg, room, surface, l
             verdict = CLUSTER_FIRST
         elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > bent):
             verdict = HALVES
-    return Piece(verdict, most, area, width, bend, across, is_inside, EVEN * slack)
+    return Piece(verdict, most, area, width, bend, across, is_inside, min(EVEN * slack, 0.05))

@@ -64,7 +64,7 @@ DEGREES, DEVIATE = 6.0, 1.645
 is exceeded in 5 % of cases."""
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated."""
-FINEST, COARSEN = 100.0, 16.0
+FINEST, COARSEN = 100.0, 4.0
 """Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
 and most that it rises."""
 LEAST_LIGHT = 1e-100
@@ -346,17 +346,7 @@ class _Found:
         weight = np.nan_to_num(delta ** (-2 * FALLS))
         share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
         every = np.arange(self.cuts.pairs.histograms)
-        self._count(self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, self.total, share)), delta)
-
-    def begin(self, run: Run, delta: Floats) -> None:
-        """Begin with a run of all pairs that was there before."""
-        self.light[:], self.total[:] = run.light, run.light.sum(axis=0)
-        self._count(run, delta)
-
-    def _count(self, run: Run, delta: Floats) -> None:
-        """Count a run whose light has been taken up."""
-        weight = np.nan_to_num(delta ** (-2 * FALLS))
-        share = weight / np.maximum(self.precision + weight, LEAST_LIGHT)
+        run = self.cuts.run(every, delta, 2 + self.runs, known=Mean(self.light, self.total, share))
         self.outside += share[self.cuts.groups][:, None] * (run.outside - self.outside)
         self.square += weight[:, None] ** 2 * run.square
         self.alike += weight[:, None] * np.sqrt(run.square)
@@ -435,7 +425,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     if not seen.light.any():
         return _dark(cuts, seen)
     found = _Found(cuts, problem.capture.time.bins)
-    known, delta = _pilot(cuts, seen, target, found)
+    known, delta = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often; unless there is
@@ -525,21 +515,19 @@ def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
     )  # fmt: skip
 
 
-def _pilot(cuts: Cuts, seen: _Seen, target: float, found: _Found) -> tuple[_Known, Floats]:
+def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
     """What runs of a few histograms tell, and δ (G,) of the last of them, which is not much coarser than what
-    follows: of much finer elements it would tell nothing. If these are all histograms, once each, it is found."""
+    follows: of much finer elements it would tell nothing."""
     H, bins = cuts.pairs.histograms, cuts.problem.capture.time.bins
     few = np.tile(_spread(cuts, H, FEW), -(-FEWEST // H))
     more = H / len(few)
     cuts.error = _asked(cuts, seen, target)
     delta = COARSER * cuts.error
     light, again = np.zeros((len(cuts.groups), len(few), bins)), delta > 0.0
-    outside, square = np.zeros((len(cuts.groups), len(few))), np.zeros((len(delta), len(few)))
     known = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more)
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
-        anew = again[cuts.groups]
-        light[anew], outside[anew], square[again] = run.light[anew], run.outside[anew], run.square[again]
+        light[again[cuts.groups]] = run.light[again[cuts.groups]]
         known = known._replace(total=light.sum(axis=0))
         known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
         wanted = _precision(cuts, known, SCATTER + SHARED, target)
@@ -548,8 +536,6 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float, found: _Found) -> tuple[_Know
         if turn == PILOTS - 1 or not again.any() or cuts.knows_little:
             break
         delta = np.where(again, np.maximum(finer, delta / STEP), delta)
-    if len(few) == H:
-        found.begin(Run(light, outside, square, square.sum(axis=0), 0, 0.0), delta)
     return known, delta
 
 

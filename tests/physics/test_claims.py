@@ -41,7 +41,7 @@ def test_a_needle_of_two_triangles_has_the_error_that_is_claimed() -> None:
         for seed in range(3):
             found = simulate(Scene.from_parts([WALL, needle(1)]), seen, Accuracy(target=target), seed)
             true = l2_norm(found.total - truth) / l2_norm(truth)
-            assert true < max(2.5 * found.relative_error, 0.004)
+            assert true < max(2.5 * found.relative_error, 0.005)
             assert true < target
 
 

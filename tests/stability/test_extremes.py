@@ -69,7 +69,7 @@ WAYS = {
     "paths": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
     "every BRDF": (Accuracy(samples=2048, max_bounces=4, direct=True), 1e-4),
     "all orders": (Accuracy(samples=2048, max_bounces=None, direct=True), 1e-4),
-    "to a target": (Accuracy(target=0.02), 5e-3),
+    "to a target": (Accuracy(target=0.02), 1e-2),
 }
 """Each with the largest relative difference."""
 
