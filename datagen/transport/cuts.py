@@ -69,7 +69,7 @@ FINEST, COARSEN = 100.0, 4.0
 and most that it rises."""
 LEAST_LIGHT = 1e-100
 """Light that is divided by at least."""
-RUNS = 2
+RUNS = 3
 """Most times that all pairs are run with another δ."""
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the

@@ -224,7 +224,7 @@ def test_needles_send_the_light_of_what_they_make_up() -> None:
         return simulate(scene, capture, Accuracy(target=0.02), seed=1).parts["screen"]
 
     truth = light(whole)
-    assert np.linalg.norm(light(needles) - truth) < 0.05 * np.linalg.norm(truth)
+    assert np.linalg.norm(light(needles) - truth) < 0.06 * np.linalg.norm(truth)
 
 
 def test_laser_point_in_a_corner_of_the_room() -> None:
