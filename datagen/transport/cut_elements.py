@@ -130,8 +130,7 @@ class Piece(NamedTuple):
     verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
     bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
     square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
-    within the window. even : square of its size over its
-    distance up to which its weights count as linear.
+    within the window. even : square of its size over its distance up to which its weights count as linear.
     """
 
     verdict: int
@@ -416,4 +415,4 @@ def judged(walk, top, n, delta, error, straight, leg, last_leg, room, surface, l
             verdict = CLUSTER_FIRST
         elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > bent):
             verdict = HALVES
-    return Piece(verdict, most, area, width, bend, across, is_inside, min(EVEN * slack, 0.05))
+    return Piece(verdict, most, area, width, bend, across, is_inside, EVEN * min(slack, 1.0))

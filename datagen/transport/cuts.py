@@ -417,14 +417,13 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     it is much less than guesses say.
 
     A look tells how bright the scene is, and ends the search where no light falls into the window; a pilot of some
-    histograms tells how large errors are; all are then run, and once more if that falls short. beside : light that is
-    known, which counts in what is asked.
+    histograms tells how large errors are; all are then run, and up to twice more if that falls short. beside : light
+    that is known, which counts in what is asked.
     """
     cuts = Cuts(problem, target, beside)
     seen = _first_look(cuts)
     if not seen.light.any():
         return _dark(cuts, seen)
-    found = _Found(cuts, problem.capture.time.bins)
     known, delta = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
@@ -434,6 +433,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     histograms = max(known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT), 1.0)
     least = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
     cuts.error = _allowed(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
+    found = _Found(cuts, problem.capture.time.bins)
     for turn in range(RUNS):
         if turn:
             known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)

@@ -264,9 +264,7 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
     # That no light was met does not say that there is none. Cuts know where they looked at all laser points, which
     # they do not for a flood.
     is_proven = primary is not None and not sources and not error and problem.capture.illumination != "flood"
-    is_known = is_proven or _ends_before_light(problem)
-    is_known |= not problem.accuracy.direct and has_none(problem.scene, problem.caster, problem.points)
-    relative = error / norm if norm > 0 else 0.0 if is_known else math.nan
+    relative = error / norm if norm > 0 else 0.0 if is_proven or _is_dark(problem) else math.nan
     if norm > 0:
         # Replicates agree in what no ray can know.
         floor = known_to(problem.scene, problem.caster, problem.points, problem.capture.time)
@@ -277,6 +275,13 @@ def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, sampl
         {name: light[name] for name in problem.components}, parts, stderr, overflow, relative, met, part_errors,
         {name: samplers[name] for name in problem.components}, {name: rays[name] for name in problem.components},
     )  # fmt: skip
+
+
+def _is_dark(problem: Problem) -> bool:
+    """Whether no light can come back within the window, whatever rays met."""
+    return _ends_before_light(problem) or (
+        not problem.accuracy.direct and has_none(problem.scene, problem.caster, problem.points)
+    )
 
 
 def _ends_before_light(problem: Problem) -> bool:
