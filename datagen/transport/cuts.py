@@ -362,11 +362,14 @@ class _Found:
         """(G,) precision, above 0 for groups that were never run, too."""
         return np.asarray(np.maximum(self.precision, LEAST_LIGHT))
 
+    def degrees(self, squares: Floats) -> float:
+        """Independent differences that tell the error of light whose histograms differ by squares (H,) between
+        replicates."""
+        return self.runs * float(squares.sum()) ** 2 / max(float(np.square(squares).sum()), LEAST_LIGHT**2)
+
     def _claimed(self, squares: Floats) -> float:
         """The L2 error that is claimed of light whose histograms differ by squares (H,) between replicates."""
-        total = float(squares.sum())
-        degrees = self.runs * total**2 / max(float(np.square(squares).sum()), LEAST_LIGHT**2)
-        return raised(degrees) * math.sqrt(total)
+        return raised(self.degrees(squares)) * math.sqrt(float(squares.sum()))
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
@@ -431,23 +434,25 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     # less of it than the error that is asked.
     each = np.square(known.total).sum(axis=1)
     histograms = max(known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT), 1.0)
-    least = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
+    times = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
     cuts.error = _allowed(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
-    found = _Found(cuts, problem.capture.time.bins)
+    found, degrees = _Found(cuts, problem.capture.time.bins), histograms * times
     for turn in range(RUNS):
         if turn:
+            degrees = found.degrees(found.square.sum(axis=0))
             known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
-        runs, there = max(least - found.runs, 1), found.precision / max(least, found.runs)
-        wanted = _precision(cuts, known, SCATTER / least + SHARED, target) - there
-        again = (wanted > ENOUGH * there) | (found.runs < least)
+        there = found.precision / times
+        claimed = (SCATTER / times + SHARED) * raised(degrees) ** 2
+        wanted = _precision(cuts, known, claimed, target) - there
+        again = (wanted > ENOUGH * there) | (turn == 0)
         if not again.any():
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
         # coarser than what is known, as the error of small objects may rise steeply.
-        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, COARSEN * delta), delta)
+        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, delta if turn else COARSEN * delta), delta)
         asked = np.where(again, delta, np.nan)
-        for _ in range(runs):
+        for _ in range(times):
             found.add(asked)
     return found.result()
 

@@ -332,7 +332,8 @@ MUTATIONS = (
     ),
     Mutation(
         "claims: no light met is none there", "simulate.py",
-        "0.0 if is_known else math.nan", "0.0", DARK + "test_light_that_something_hides_is_not_claimed_to_be_none",
+        "0.0 if is_proven or _is_dark(problem) else math.nan", "0.0",
+        DARK + "test_light_that_something_hides_is_not_claimed_to_be_none",
     ),
     Mutation(
         "cuts: what cannot arrive within the window is cut as what can", "cut_elements.py",

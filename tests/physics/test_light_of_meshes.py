@@ -72,5 +72,5 @@ def test_an_object_that_is_hidden_is_not_chased() -> None:
     with pytest.warns(InputWarning, match="lies inside of the part 'mesh', which shuts its light in"):
         found = simulate(scene, scan(4), Accuracy(target=0.02, max_bounces=3), split_parts=True)
     assert found.samplers["primary"] == "cuts"
-    assert found.relative_error < 0.03 and found.rays["primary"] < 1e7
+    assert found.met_target and found.rays["primary"] < 1e7
     assert found.parts["pillar"].sum() < 1e-5 * found.total.sum()

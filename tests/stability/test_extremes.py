@@ -71,7 +71,7 @@ WAYS = {
     "all orders": (Accuracy(samples=2048, max_bounces=None, direct=True), 1e-4),
     "to a target": (Accuracy(target=0.02), 1e-2),
 }
-"""Each with the largest relative difference."""
+"""Each with the largest relative difference: to a target, rounding of places gives some elements another cut."""
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(0.025, (0, 0, 0)), (250.0, (0, 0, 0)), (0.025, (6e3, -8e3, 3.0))])
@@ -219,12 +219,16 @@ def test_needles_send_the_light_of_what_they_make_up() -> None:
     needles = trimesh.Trimesh(np.concatenate([edge, edge + along]), faces, process=False)
     whole = rectangle(corner + (along + across) / 2, along / 2, across / 2)
 
-    def light(mesh: trimesh.Trimesh) -> np.ndarray:
+    def light(mesh: trimesh.Trimesh, accuracy: Accuracy) -> np.ndarray:
         scene = Scene.from_parts([*parts_of(furnished_box()), Part("screen", mesh, Lambertian(0.7))])
-        return simulate(scene, capture, Accuracy(target=0.02), seed=1).parts["screen"]
+        return simulate(scene, capture, accuracy, seed=1).parts["screen"]
 
-    truth = light(whole)
-    assert np.linalg.norm(light(needles) - truth) < 0.06 * np.linalg.norm(truth)
+    accuracy = Accuracy(target=0.02)
+    found, truth = light(needles, accuracy), light(whole, Accuracy(target=0.002))
+    assert found.sum() == pytest.approx(truth.sum(), rel=0.01)
+    # An object's claim may be exceeded by half: it was by up to 0.6 of it in 8 seeds.
+    assert accuracy.each_part is not None
+    assert np.linalg.norm(found - truth) < 1.5 * accuracy.each_part * np.linalg.norm(truth)
 
 
 def test_laser_point_in_a_corner_of_the_room() -> None:
