@@ -34,50 +34,70 @@ from datagen.transport.problem import Problem
 from datagen.transport.sampling import stream_seeds
 from datagen.units import path_from_time
 
+LOOKED_AT = 16
+"""Histograms that are looked at first, to tell how bright the scene is, about; fewer are looked at several times."""
+LOOK = 8
+"""Laser points of a flood's histogram in a look, in place of the 64 to 192 of a zone sensor."""
+SECOND_LOOK = 256
+"""Pairs of laser point and pixel, over all histograms, in a second look where the first met no light: that there is
+none is said of what 16 times as many elements did not meet."""
+FEW = 32
+"""Most histograms of a pilot: an eighth of a scan of 256; replicates of 32 tell an error to about a tenth."""
+FEWEST = 6
+"""Fewest histograms of a pilot; if there are less, each is run several times: the few elements of 1 to 5 histograms
+met only shadow with 2 and 6 of 10 seeds of two scenes."""
 COARSER = 30.0
-"""δ of the first pilot, in units of that with which all elements together would err by their light."""
-FEW, FEWEST = 32, 6
-"""Most histograms of a pilot, and fewest: if there are less, each is run several times, as a few elements may by
-chance meet only shadow."""
-PILOTS, STEP, CLOSE = 6, 6.0, 1.5
-"""Most pilots; most that δ falls from one to the next; and by how much it must for another one."""
-FIRST = 16
-"""Histograms of the run before it, which tells how bright the scene is, about; fewer are looked at several times."""
-LOOK, SECOND_LOOK = 8, 256
-"""Laser points of a flood's histogram in a look; and pairs of laser point and pixel, over all histograms, in a second
-one where the first met no light."""
+"""δ of the first pilot, in units of that with which all elements together would err by their light: the
+first pilot of a room then has 1 to 3 times the elements of its last."""
+PILOTS = 6
+"""Most pilots; 19 rooms of ready configurations took 1 to 4."""
+STEP = 6.0
+"""Most that δ falls from one pilot to the next, so that what few coarse elements met does not decide alone."""
+CLOSE = 1.5
+"""How many times finer than that of a pilot δ must be for another pilot: nearer, `FALLS` foretells the error."""
 LEAST_CHANCE = 0.02
-"""Least chance of an element of a flood to get a sample."""
+"""Least chance of an element of a flood to get a sample, which bounds by how much a single one may stand out."""
 FALLS = 0.55
-"""Power of δ with which errors fall, as measured."""
+"""Power of δ with which errors fall, as measured in rooms of the ready configurations."""
 STRAIGHT = 0.25
 """Bend of the times over parts of elements, relative to their span, in units of the relative error asked: a screen of
 needles errs by five times its bend."""
 SHAPES = 0.15
 """What shapes of light in time may err by, alike in both replicates, relative to the error asked: 0.1 in the median
 of rooms, measured with elements of a hundredth of the light."""
-SCATTER, SHARED = 0.55, 0.4
-"""Squared errors over that by which two replicates differ: of what averages out over runs, and of pieces that all of
-them have: as measured on foreign rooms."""
-DEGREES, DEVIATE = 6.0, 1.645
-"""Independent histograms, counted by their light, over all runs, from which claims hold; and the normal deviate that
-is exceeded in 5 % of cases."""
+SCATTER = 0.55
+"""Squared error, over that by which two replicates differ, of what averages out over runs, measured on foreign
+rooms."""
+SHARED = 0.4
+"""The same of what all runs have in common, pieces that none of them cuts, measured on foreign rooms."""
+DEGREES = 6.0
+"""Independent histograms, counted by their light, over all runs, from which a claim is the root mean square that
+replicates tell; of fewer it is raised, as one in twenty would be exceeded by more."""
+DEVIATE = 1.645
+"""Normal deviate that is exceeded in 5 % of cases."""
 ENOUGH = 0.45
-"""Precision that is missing, relative to what is there, up to which a run is not repeated."""
-FINEST, COARSEN = 100.0, 4.0
-"""Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light;
-and most that it rises."""
+"""Precision that is missing, relative to what is there, up to which a run is not repeated: the error is then up to
+1.2 of what is asked, which counts as met."""
+FINEST = 100.0
+"""Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light."""
+COARSEN = 4.0
+"""Most that δ rises from the pilot to a run, as the error of small objects may rise steeply."""
 LEAST_LIGHT = 1e-100
 """Light that is divided by at least."""
 RUNS = 3
-"""Most times that all pairs are run with another δ."""
+"""Most times that all pairs are run with another δ: with 2, light through a slit missed its target."""
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
-MOST, AT_LEAST, FINE = 1 << 15, 16, 0.02
-"""Most elements of a histogram, taken together for all, as for 16 at least, and for targets down to `FINE`; more in
-proportion to 1/target² for less. If a pilot reaches that, cuts do not know the light: what lobes might bring, or what
-is hidden, is taken for far more than all light that there is."""
+MOST = 1 << 15
+"""Most elements of a histogram in any run, taken together for all, for targets down to `FINE`, and in proportion to
+1/target² below, as paths need: two replicates of so many take 131 000 rays, as many as plain paths to 2 % in rooms
+of `quickstart`. Beyond, only what is near is cut. If a pilot comes so far, cuts do not know the light: what lobes
+might bring, or what is hidden, is taken for far more than all light that there is."""
+AT_LEAST = 16
+"""Histograms that `MOST` is taken for at least: one alone may need more than the mean of all."""
+FINE = 0.02
+"""Target down to which `MOST` holds as it is."""
 FAINT = 1e-4
 """Light of an object, relative to all, below which it gets no effort of its own."""
 SAMPLES = 1 << 12
@@ -367,9 +387,9 @@ class _Found:
         replicates."""
         return self.runs * float(squares.sum()) ** 2 / max(float(np.square(squares).sum()), LEAST_LIGHT**2)
 
-    def _claimed(self, squares: Floats) -> float:
+    def _claim(self, squares: Floats) -> float:
         """The L2 error that is claimed of light whose histograms differ by squares (H,) between replicates."""
-        return raised(self.degrees(squares)) * math.sqrt(float(squares.sum()))
+        return claimed_times(self.degrees(squares)) * math.sqrt(float(squares.sum()))
 
     def result(self) -> PrimaryLight:
         """The light, and what is claimed of it."""
@@ -383,18 +403,18 @@ class _Found:
         norms, names = cuts.norms(light, 1.0), cuts.problem.scene.part_names
         shapes = SHAPES * math.sqrt(cuts.pairs.histograms) * cuts.error
         errors = {
-            names[k]: math.hypot(self._claimed(each[cuts.groups[k]]), shapes[cuts.groups[k]]) / float(norms[k])
+            names[k]: math.hypot(self._claim(each[cuts.groups[k]]), shapes[cuts.groups[k]]) / float(norms[k])
             for k in np.flatnonzero(cuts.worth(norms, cuts.norm(total, 1.0)))
         }
         outside = self.outside.sum(axis=0)
         rows = light if cuts.problem.split_parts else total[None]
         return PrimaryLight(
-            rows, total, outside, share[:, None] * total, math.hypot(self._claimed(of_pairs), shapes.max()), errors,
+            rows, total, outside, share[:, None] * total, math.hypot(self._claim(of_pairs), shapes.max()), errors,
             2.0 * self.samples,
         )  # fmt: skip
 
 
-def raised(degrees: float) -> float:
+def claimed_times(degrees: float) -> float:
     """How many times the root of a mean square with few degrees of freedom is claimed; 1 from `DEGREES` on.
 
     Half the logarithm of the ratio of two such mean squares, by which replicates differ and by which the light errs,
@@ -435,7 +455,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     each = np.square(known.total).sum(axis=1)
     histograms = max(known.more * each.sum() ** 2 / max(np.square(each).sum(), LEAST_LIGHT), 1.0)
     times = 1 if _is_faint(cuts, known, target) else math.ceil(DEGREES / min(histograms, DEGREES))
-    cuts.error = _allowed(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
+    cuts.error = _errors_asked(cuts, cuts.norms(known.light, known.more), cuts.norm(known.total, known.more), target)
     found, degrees = _Found(cuts, problem.capture.time.bins), histograms * times
     for turn in range(RUNS):
         if turn:
@@ -443,7 +463,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
             known = _Known(found.light, found.total, found.spread / np.maximum(found.expected, LEAST_LIGHT), 1.0)
         # The precision of each of so many runs.
         there = found.precision / times
-        claimed = (SCATTER / times + SHARED) * raised(degrees) ** 2
+        claimed = (SCATTER / times + SHARED) * claimed_times(degrees) ** 2
         wanted = _precision(cuts, known, claimed, target) - there
         again = (wanted > ENOUGH * there) | (turn == 0)
         if not again.any():
@@ -482,8 +502,8 @@ def _first_look(cuts: Cuts) -> _Seen:
     """What is seen at a look at some histograms, of few elements each; at all, if no light falls into the window."""
     H = cuts.pairs.histograms
     some = _spread(cuts, H, FEW)
-    some = some[:: max(len(some) // FIRST, 1)]
-    seen = _look(cuts, some, -(-FIRST // len(some)), LOOK, 0)
+    some = some[:: max(len(some) // LOOKED_AT, 1)]
+    seen = _look(cuts, some, -(-LOOKED_AT // len(some)), LOOK, 0)
     return seen if seen.light.any() else _look(cuts, np.arange(H), 1, max(SECOND_LOOK // H, LOOK), 90)
 
 
@@ -526,7 +546,7 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
     H, bins = cuts.pairs.histograms, cuts.problem.capture.time.bins
     few = np.tile(_spread(cuts, H, FEW), -(-FEWEST // H))
     more = H / len(few)
-    cuts.error = _asked(cuts, seen, target)
+    cuts.error = _errors_from_look(cuts, seen, target)
     delta = COARSER * cuts.error
     light, again = np.zeros((len(cuts.groups), len(few), bins)), delta > 0.0
     known = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more)
@@ -544,17 +564,17 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
     return known, delta
 
 
-def _asked(cuts: Cuts, seen: _Seen, target: float) -> Floats:
+def _errors_from_look(cuts: Cuts, seen: _Seen, target: float) -> Floats:
     """(G,) L2 error that is asked of each group in a histogram, photons, from a look at a few."""
     root = math.sqrt(cuts.pairs.histograms / len(seen.which))
     # Of all histograms.
     primary = root * _without_noise(seen.light.sum(axis=0), seen.whole)
     squares = seen.square[cuts.groups]
     own = np.array([root * _without_noise(of, square) for of, square in zip(seen.light, squares, strict=True)])
-    return _allowed(cuts, np.hypot(own, cuts.beside.parts), math.hypot(primary, cuts.beside.whole), target)
+    return _errors_asked(cuts, np.hypot(own, cuts.beside.parts), math.hypot(primary, cuts.beside.whole), target)
 
 
-def _allowed(cuts: Cuts, norms: Floats, whole: float, target: float) -> Floats:
+def _errors_asked(cuts: Cuts, norms: Floats, whole: float, target: float) -> Floats:
     """(G,) L2 error that is asked of each group in a histogram, photons, from the L2 norms of the light of each part
     (K,) and of the whole."""
     whole = max(whole, LEAST_LIGHT)

@@ -18,7 +18,8 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
 from datagen.bench.plain_check import PlainPaths
-from datagen.transport.cuts import Cuts, _Known, outer_sides
+from datagen.transport.cut_elements import COARSE
+from datagen.transport.cuts import AT_LEAST, Cuts, _Known, outer_sides
 from datagen.transport.cuts import _precision as precision_of
 from datagen.transport.paths import sample_paths
 from datagen.transport.problem import Problem
@@ -196,3 +197,21 @@ def test_claims_are_the_errors_there_are(glossy: bool) -> None:
     runs = [simulate(scene, capture, Accuracy(target=0.05), seed=s) for s in range(SEEDS)]
     true = np.mean([truth.check(run.total, "primary").square for run in runs])
     assert 0.7 < np.sqrt(true / np.mean([run.relative_error**2 for run in runs])) < 1.8
+
+
+def test_a_run_has_a_bounded_number_of_elements_however_little_each_may_bring() -> None:
+    """Beside those of what is near, which a run of the coarsest elements has, at most `Cuts.most` for each histogram
+    and replicate; the light is still all there."""
+    scene, capture = furnished_box(), one_point_capture(half_side_m=0.01, time=TIME)
+    cuts = Cuts(Problem.of(scene, capture, Accuracy(target=0.02), 0, split_parts=True), 0.02)
+    every, groups = np.arange(1), cuts.groups.max() + 1
+    coarse_run = cuts.run(every, np.full(groups, COARSE), 0)
+    photons = float(coarse_run.light.sum() + coarse_run.outside.sum())
+    fine = cuts.run(every, np.full(groups, 1e-5 * photons), 0)
+    cuts.most = 1 << 7
+    bound = 2 * (cuts.most * AT_LEAST + coarse_run.samples)
+    assert fine.samples > 2 * bound and not cuts.is_limited
+    for share in (1e-5, 1e-30):
+        run = cuts.run(every, np.full(groups, share * photons), 0)
+        assert run.samples <= bound and cuts.is_limited
+        assert run.light.sum() + run.outside.sum() == pytest.approx(fine.light.sum() + fine.outside.sum(), rel=0.2)

@@ -13,7 +13,7 @@ from rooms import bins_of_path, rectangle, square_pixels
 from datagen import Accuracy, Capture, Lambertian, Laser, Part, Phong, Scene, Sensor, simulate
 from datagen.bench.plain_check import PlainPaths
 from datagen.records.arrays import l2_norm
-from datagen.transport.cuts import DEGREES, raised
+from datagen.transport.cuts import DEGREES, claimed_times
 
 DEVICE = (1.5, 0.1, 1.3)
 WALL = Part("wall", rectangle((0, 0, 1.25), (0, 1.5, 0), (0, 0, 1.25)), Lambertian(0.7), "relay_wall")
@@ -102,7 +102,7 @@ def test_claims_from_few_degrees_are_raised() -> None:
 
     def beyond(degrees: int) -> float:
         claimed, true = (np.sqrt((rng.normal(size=(100_000, degrees)) ** 2).mean(axis=1)) for _ in range(2))
-        return float((true > 1.5 * claimed * raised(degrees)).mean())
+        return float((true > 1.5 * claimed * claimed_times(degrees)).mean())
 
-    assert raised(DEGREES) == raised(100) == 1.0
+    assert claimed_times(DEGREES) == claimed_times(100) == 1.0
     assert all(beyond(degrees) < beyond(int(DEGREES)) + 0.03 for degrees in (1, 2, 3, 4))
