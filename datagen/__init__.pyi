@@ -52,11 +52,14 @@ from .paper.as_printed import simulate_as_printed as simulate_as_printed
 from .records import GGX as GGX
 from .records import Accuracy as Accuracy
 from .records import Capture as Capture
+from .records import Clock as Clock
 from .records import Lambertian as Lambertian
 from .records import Laser as Laser
 from .records import Material as Material
+from .records import Moves as Moves
 from .records import OrenNayar as OrenNayar
 from .records import Part as Part
+from .records import Path as Path
 from .records import Phong as Phong
 from .records import Pose as Pose
 from .records import Rectangle as Rectangle

@@ -36,6 +36,7 @@ CAPTURE = dg.Capture(LASER, SENSOR, TIME)
 FEW = dg.Accuracy(samples=16)
 SPAD, EXPOSURE = dg.Spad(), dg.Exposure()
 WHITE = dg.Lambertian(0.8)
+WAY = dg.Path((0, 1), [EYE, (2.0, 1.0, 1.0)], (0, 90))
 
 
 def wall(scale: float = 1.0) -> dg.Part:
@@ -84,7 +85,7 @@ MESH = wall().mesh
 Arguments = dict[str, list[Any]]
 WRONG: dict[str, Callable[[], tuple[Callable[..., object], dict[str, Any], Arguments]]] = {
     "Part": lambda: (dg.Part, {"name": "box", "mesh": MESH, "material": WHITE}, {
-        "mesh": [None], "name": [3], "material": [0.8], "role": ["furniture"], "pose": ["upright"]}),
+        "mesh": [None], "name": [3], "material": [0.8], "role": ["furniture"], "pose": ["upright"], "path": [[EYE]]}),
     "Pose": lambda: (dg.Pose, {"label": "box", "axes": np.eye(3)}, {"axes": [np.ones((3, 3)), (0, 0, 1)]}),
     "Scene.from_parts": lambda: (dg.Scene.from_parts, {"parts": [wall()]}, {
         "parts": [[], wall(), [wall(), MESH]], "hidden_bounds": [(0, 0, 0)], "relay_wall": [TRIANGLE],
@@ -228,6 +229,10 @@ WITH: dict[str, Callable[[Made], Call]] = {
         "held_out": True}),
     "Capture": lambda m: (dg.Capture, {"laser": LASER, "sensor": SENSOR, "time": TIME}),
     "Capture.excerpt": lambda m: (CAPTURE.excerpt, {"lasers": [0]}),
+    "Clock": lambda m: (dg.Clock, {"frames": 2, "rate_hz": 10}),
+    "Clock.middles": lambda m: (dg.Clock(2, 10).middles, {"points": 4, "exposure_s": 0.01}),
+    "Clock.times": lambda m: (dg.Clock(2, 10).times, {"points": 4, "exposure_s": 0.01}),
+    "Clock.turns": lambda m: (dg.Clock(2, 10).turns, {"points": 4}),
     "Comparison": lambda m: (dg.Comparison, {
         "source": "x", "simulated_as": "y", "fitted": {}, "steps": {}, "measured": LIGHT, "modelled": LIGHT}),
     "DatasetConfig": lambda m: (dg.DatasetConfig, {}),
@@ -263,7 +268,17 @@ WITH: dict[str, Callable[[Made], Call]] = {
     "Laser.flood": lambda m: (dg.Laser.flood, {"position": EYE, "rows": 1, "columns": 1, **POINTS}),
     "Laser.take": lambda m: (LASER.take, {"lasers": [0]}),
     **{name: lambda m, name=name: (getattr(dg, name), {"albedo": 0.5}) for name in MATERIALS},
+    "Moves": lambda m: (dg.Moves, {"turns_rad": np.zeros(2), "shifts_m": np.zeros((2, 3))}),
+    **{f"Moves.{name}": lambda m, name=name: (getattr(WAY.at([0, 1]), name), {"points": EYE})
+       for name in ("apply", "undo")},
+    **{f"Moves.{name}": lambda m, name=name: (getattr(WAY.at([0, 1]), name), {"vectors": EYE})
+       for name in ("turn", "turn_back")},
+    "Moves.since": lambda m: (WAY.at([0, 1]).since, {"start": WAY.at(0)}),
     "Part": lambda m: (dg.Part, {"name": "box", "mesh": MESH, "material": WHITE}),
+    "Path": lambda m: (dg.Path, {"times_s": (0, 1), "places": [EYE, (2, 1, 1)], "headings_deg": (0, 90)}),
+    "Path.at": lambda m: (WAY.at, {"times_s": 0.5}),
+    "Path.turning": lambda m: (WAY.turning, {"times_s": 0.5}),
+    "Path.velocity": lambda m: (WAY.velocity, {"times_s": 0.5, "at": EYE}),
     "Pose": lambda m: (dg.Pose, {"label": "box", "axes": np.eye(3)}),
     "Pose.upright": lambda m: (dg.Pose.upright, {"label": "box"}),
     "Presence": lambda m: (dg.Presence, {"detections": 1.0, "significance": 1.0, "floor": 0.1}),
@@ -272,8 +287,10 @@ WITH: dict[str, Callable[[Made], Call]] = {
     "Rectangle.of": lambda m: (dg.Rectangle.of, POINTS),
     "Sample": lambda m: (dg.Sample, {"index": 0, "arrays": {}, "parameters": {}, "seconds": {}}),
     "Scene": lambda m: (dg.Scene, dict(vars(room()))),
+    "Scene.at": lambda m: (room().at, {"time_s": 0.5}),
     "Scene.faces_of": lambda m: (lambda part: room().faces_of(part), {"part": "box"}),
     "Scene.from_parts": lambda m: (dg.Scene.from_parts, {"parts": [wall()]}),
+    "Scene.moves": lambda m: (room().moves, {"part": "box", "times_s": 0.5}),
     "Scene.pose_of": lambda m: (room().pose_of, {"part": "box"}),
     "Scene.without": lambda m: (lambda part: room().without(part), {"part": "box"}),
     "SceneConfig": lambda m: (dg.SceneConfig, {}),

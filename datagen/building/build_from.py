@@ -118,6 +118,8 @@ class Given:
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
         arrays += [c.laser.position, c.laser.targets, c.laser.weights, c.laser.cells]
         arrays += [c.sensor.position, c.sensor.pixels, c.sensor.footprints, c.sensor.glass, c.sensor.delays_s]
+        # Without paths the digest is that of scenes which stand.
+        arrays += [array for _, p in sorted(s.paths.items()) for array in (p.times_s, p.places, p.headings_deg)]
         for array in arrays:
             hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
         return hashed.hexdigest()
@@ -150,6 +152,11 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
     scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
     if not isinstance(scene, Scene):
         raise InputError(f"scenes[{number}] = {shown(scene)}: a Scene is needed, or (Scene, Capture, …)")
+    if scene.moving:
+        raise InputError(
+            f"scenes[{number}]: {scene.moving[0]!r} moves, and datasets of sequences cannot be built yet; give the "
+            "scene at a time, scene.at(time_s)"
+        )
     found = own if own is not None else capture(scene) if callable(capture) else capture
     if not isinstance(found, Capture):
         raise InputError(

@@ -23,6 +23,7 @@ from datagen.records.checks import (
     check_reals,
 )
 from datagen.records.materials import Material
+from datagen.records.path import LONGEST_S, Moves, Path
 
 if TYPE_CHECKING:
     import trimesh
@@ -74,6 +75,8 @@ class Part:
     material : how it scatters (`Lambertian`, `Phong`, `GGX` …).
     role : "relay_wall", "structure" (other walls, floor, ceiling) or "object" (to be reconstructed).
     pose : class and axes of its label box; left out: the part's name, and the axes of the scene.
+    path : how an object moves: its mesh, and its pose, are taken along the path, mesh origin to place. None: it
+        stands where its mesh is.
 
     Examples
     --------
@@ -89,6 +92,7 @@ class Part:
     material: Material
     role: Role = "object"
     pose: Pose | None = None
+    path: Path | None = None
 
     def __post_init__(self) -> None:
         check_name("Part.name", self.name)
@@ -103,6 +107,13 @@ class Part:
         check_choice(f"Part {self.name!r}: role", self.role, get_args(Role))
         if self.pose is not None:
             check_kind(f"Part {self.name!r}: pose", self.pose, Pose)
+        if self.path is not None:
+            check_kind(f"Part {self.name!r}: path", self.path, Path, remedy="such as dg.Path(times_s, places)")
+            if self.role != "object":
+                raise InputError(
+                    f"Part {self.name!r}: a path with role = {self.role!r}: only objects move, and the walls that "
+                    "laser and sensor look at stand; make it an object, or leave path out"
+                )
 
 
 @dataclass(frozen=True)
@@ -149,6 +160,9 @@ class Rectangle:
 class Scene:
     """Triangles with parts and materials, and the places in the room that captures and labels refer to.
 
+    Where parts move (`paths`), the triangles are those of time 0, at which the first frame begins: whatever asks for
+    no time sees the room as it is then, and `Scene.at` gives it as it is at another time.
+
     Attributes
     ----------
     vertices : (V, 3) float64, metres; right-handed frame, z up.
@@ -163,6 +177,7 @@ class Scene:
     parameters : every number drawn for this scene, by dotted name; stored with the sample.
     attenuation_per_m : Napierian attenuation of the air, 1/m: every leg R passes exp(−a R).
     poses : object part → its class and axes; a part without one stands along the scene's axes, named by its part.
+    paths : object part → its path; parts without one stand.
     """
 
     vertices: Floats
@@ -178,6 +193,7 @@ class Scene:
     parameters: Mapping[str, float | int | str | bool] = field(default_factory=dict)
     attenuation_per_m: float = 0.0
     poses: Mapping[str, Pose] = field(default_factory=dict)
+    paths: Mapping[str, Path] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_number("Scene", "attenuation_per_m", self.attenuation_per_m, 0.0, 1e12, "1/m; 0 for clear air")
@@ -205,6 +221,10 @@ class Scene:
             check_reals("Scene.device_position", self.device_position, (3,))
         check_kind("Scene.parameters", self.parameters, Mapping)
         check_mapping("Scene.poses", self.poses, Pose, remedy="the pose of each part that has one")
+        check_mapping("Scene.paths", self.paths, Path, remedy="the path of each part that moves")
+        for name in self.paths:
+            if name not in self.objects:
+                raise InputError(f"Scene.paths: {shown(name)} is no object of this scene; only objects move")
 
     @classmethod
     def from_parts(
@@ -212,7 +232,8 @@ class Scene:
         hidden_bounds: ArrayLike | None = None, device_position: ArrayLike | None = None,
         parameters: Mapping[str, float | int | str | bool] | None = None, attenuation_per_m: float = 0.0,
     ) -> Scene:  # fmt: skip
-        """Join parts into one scene. Zero-area triangles are dropped; parts keep their order.
+        """Join parts into one scene. Zero-area triangles are dropped; parts keep their order, and those with a path
+        are put where it has them at time 0.
 
         Raises `InputError` for no parts, a repeated name, vertices that are not finite or beyond 10⁹ m, indices out
         of range, or a part left with no area.
@@ -242,6 +263,7 @@ class Scene:
         vertices, triangles, face_part, offset = [], [], [], 0
         for index, part in enumerate(parts):
             v, f = _checked_triangles(part)
+            v = v if part.path is None else part.path.at(0.0).apply(v)
             vertices.append(v)
             triangles.append(f + offset)
             face_part.append(np.full(len(f), index, np.int32))
@@ -253,7 +275,8 @@ class Scene:
             hidden_bounds=bounds,
             device_position=device,
             parameters=_scalars({} if parameters is None else parameters), attenuation_per_m=attenuation_per_m,
-            poses={part.name: part.pose for part in parts if part.pose is not None},
+            poses={part.name: pose for part in parts if (pose := _first_pose(part)) is not None},
+            paths={part.name: part.path for part in parts if part.path is not None},
         )  # fmt: skip
 
     def pose_of(self, part: str) -> Pose:
@@ -284,7 +307,43 @@ class Scene:
             face_part=number[np.delete(self.face_part, gone)], part_names=tuple(self.part_names[k] for k in kept),
             materials=tuple(self.materials[k] for k in kept), roles=tuple(self.roles[k] for k in kept),
             poses={name: pose for name, pose in self.poses.items() if name not in names},
+            paths={name: path for name, path in self.paths.items() if name not in names},
         )  # fmt: skip
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the parts that move, in their order; one whose path stays in one place does not."""
+        return tuple(name for name in self.part_names if name in self.paths and not self.paths[name].stands)
+
+    def moves(self, part: str, times_s: ArrayLike) -> Moves:
+        """The moves, of the shape of `times_s`, that take the triangles of a part from where `vertices` has them to
+        where they are at these times.
+
+        At time 0, and at all times for a part that stands, a move leaves every point as it is, to the bit.
+        """
+        self.faces_of(part)
+        path = self.paths.get(part, _STANDS)
+        return path.at(times_s).since(path.at(0.0))
+
+    def at(self, time_s: float) -> Scene:
+        """The scene without paths in which everything stands where it is at a time; `parameters` stay as they are.
+
+        >>> import trimesh
+        >>> import datagen as dg
+        >>> path = dg.Path(times_s=(0, 1), places=[(2, 0, 0.2), (2, 1, 0.2)])
+        >>> box = dg.Part("box", trimesh.creation.box((0.4, 0.4, 0.4)), dg.Lambertian(0.5), path=path)
+        >>> scene = dg.Scene.from_parts([box])
+        >>> scene.at(0.25).vertices.mean(axis=0).round(3).tolist(), scene.moving, scene.at(0.25).moving
+        ([2.0, 0.25, 0.2], ('box',), ())
+        """
+        check_number("Scene.at", "time_s", time_s, -LONGEST_S, LONGEST_S, "seconds since the first frame began")
+        vertices, poses = self.vertices.copy(), dict(self.poses)
+        for name in self.moving:
+            move = self.moves(name, time_s)
+            own = np.unique(self.triangles[self.faces_of(name)])
+            vertices[own] = move.apply(vertices[own])
+            poses[name] = _turned(self.pose_of(name), move)
+        return replace(self, vertices=vertices, poses=poses, paths={})
 
     @property
     def corners(self) -> Floats:
@@ -297,6 +356,21 @@ class Scene:
         if unknown:
             raise InputError(f"part {shown(unknown[0])}: this scene has {', '.join(self.part_names)}")
         return np.flatnonzero(np.isin(self.face_part, [self.part_names.index(n) for n in names]))
+
+
+_STANDS = Path((0.0,), [(0.0, 0.0, 0.0)])
+
+
+def _first_pose(part: Part) -> Pose | None:
+    """The pose of a part at time 0; None for one that stands along the scene's axes, named by its part."""
+    if part.path is None:
+        return part.pose
+    return _turned(part.pose or Pose.upright(part.name), part.path.at(0.0))
+
+
+def _turned(pose: Pose, move: Moves) -> Pose:
+    """The pose after one move."""
+    return replace(pose, axes=move.turn(pose.axes))
 
 
 def _scalars(parameters: Mapping[str, float | int | str | bool]) -> dict[str, float | int | str | bool]:
