@@ -10,26 +10,33 @@ costs its corners and its bins, however many parts it has.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 
-LEVELS, FINEST = 2, 3
-"""Most times that a triangle is quartered, and that a bin is halved."""
+LEVELS = 2
+"""Most times that a triangle is quartered: more parts make shapes in time more exact, and cost a guess a corner."""
+SPANS = (24.0, 8.0, 2.0)
+"""Span of an element's times, bins, below which its light is spread over a cluster by halves, quarters and eighths of
+a bin: by whole bins rooms erred by 1.2 to 1.6 times as much."""
 TIE, TIED = 1e-4, 0.05
-"""Corners of a part need times of their own: those of a triangle are tilted, one late and one early, by this share of
-their span, at least so many bins."""
+"""Corners of a part need times of their own, by which is divided: the second corner of a triangle becomes later and
+the third one earlier, each by half of this share of the span of all times, or of so many bins if that is more."""
 APART = 1e-12
-"""Bins between corners that are at one time in spite of it, and that are divided by at least."""
+"""Bins that are divided by where times are the same in spite of that: far fewer than any that count."""
 
 
-def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
-    """How a triangle is divided into 4^level equal parts: for each level the number of their corners; where corners
-    lie (n, 2), as shares of the ways to the second and third corner of the triangle; the two (n, 2) in the middle
-    between which each lies; and the corners of each part (LEVELS + 1, 4^LEVELS, 3). Corners of a coarser level come
-    first, in the same order."""
+def _division() -> tuple[tuple[int, ...], Floats, Ints, Ints, Floats]:
+    """How a triangle is divided into 4^level equal parts, for each level.
+
+    Returns the number of corners of all parts of each level; the place of each corner (n, 2), as shares of the ways
+    to the second and third corner of the triangle; the two corners (n, 2) in the middle between which each lies; the
+    corners of each part (LEVELS + 1, 4^LEVELS, 3); and the number of parts that meet at each corner (LEVELS + 1, n).
+    Corners of a coarser level come first, in the same order.
+    """
     counts, where, between = list[int](), {(0.0, 0.0): 0, (1.0, 0.0): 1, (0.0, 1.0): 2}, [(0, 0), (1, 1), (2, 2)]
     parts = np.zeros((LEVELS + 1, 4**LEVELS, 3), np.int64)
     for level in range(LEVELS + 1):
@@ -47,15 +54,47 @@ def _divided() -> tuple[tuple[int, ...], Floats, Ints, Ints]:
         ]  # fmt: skip
         counts.append(len(where))
         parts[level, : len(of)] = of
-    return tuple(counts), np.array(list(where)), np.array(between), parts
+    meeting = [np.bincount(of[: 4**level].ravel(), minlength=len(where)) for level, of in enumerate(parts)]
+    return tuple(counts), np.array(list(where)), np.array(between), parts, np.array(meeting, float)
 
 
-CORNERS, PLACES, BETWEEN, PARTS = _divided()
-"""Of a triangle's parts."""
-MEETING = np.array(
-    [np.bincount(of[: 4**level].ravel(), minlength=CORNERS[-1]) for level, of in enumerate(PARTS)], float
-)
-"""Number of the parts of each level that meet at each corner (LEVELS + 1, CORNERS[-1])."""
+CORNERS, PLACES, BETWEEN, PARTS, MEETING = _division()
+"""How a triangle is divided: see `_division`."""
+
+
+class Work(NamedTuple):
+    """Arrays to work with.
+
+    steps : (n,) fourth differences of light; own, once : (n,) light that is spread over no side of the cluster yet,
+    and over one. They are zero before and after use. square, cube : (CORNERS[-1],) of `_set_knots`.
+    """
+
+    steps: Floats
+    own: Floats
+    once: Floats
+    square: Floats
+    cube: Floats
+
+    @classmethod
+    def of(cls, bins: int, widest: float) -> Work:
+        """Room for histograms of some bins and clusters whose times change by `widest` steps at most, over both sides
+        together."""
+        return cls(*np.zeros((3, (bins << len(SPANS)) + 3 * (int(widest) + 4) + 8)), *np.empty((2, CORNERS[-1])))
+
+
+class Box(NamedTuple):
+    """How times that are spread evenly over some steps become shares of steps.
+
+    m : number of steps on either side of the middle that count as much as it. tilt : change of light from a step to
+    the next, relative to its mean. newest, oldest : how much one more step on either side counts, so that the
+    variance is exact. total : of all.
+    """
+
+    m: int
+    tilt: float
+    newest: float
+    oldest: float
+    total: float
 
 
 @compiled(forceinline=True, allocates=False)
@@ -83,8 +122,9 @@ def _set_knots(level, at, time, square, cube):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _tilted(level, at):  # type: ignore[no-untyped-def]
-    """By how much times become later in the mean, weighted by `at`, where corners are tilted by one."""
+def _delay_by_tilt(level, at):  # type: ignore[no-untyped-def]
+    """By how much times become later in the mean, weighted by `at`, where the second corner of the triangle becomes
+    later by a half, and the third one earlier."""
     total = later = 0.0
     for part in range(1 << 2 * level):
         a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
@@ -122,37 +162,28 @@ def _add_steps(t, q, c, steps):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, allocates=False)
 def _box(width, tilt):  # type: ignore[no-untyped-def]
-    """How times that are spread evenly over some bins become shares of bins: the number m of bins on either side of
-    the middle that count as much as it, how much one more on either side counts, so that the variance is exact, and
-    the change from a bin to the next where light changes by `tilt` over all of them, relative to its mean."""
+    """The `Box` of times that are spread evenly over `width` steps, where light changes by `tilt` over all of them,
+    relative to its mean."""
     square = width * width
     m = int(0.5 * (math.sqrt(1.0 + square) - 1.0))
     end = (2.0 * m + 1.0) * (square - 4.0 * m * (m + 1.0)) / (24.0 * (m + 1.0) ** 2 - 2.0 * square)
     most = 1.0 / (m + 1.0)
-    return m, end, max(min(tilt / max(width, APART), most), -most)
+    tilt = max(min(tilt / max(width, APART), most), -most)
+    lean = (m + 1) * tilt * end
+    return Box(m, tilt, end - lean, end + lean, 2.0 * m + 1.0 + 2.0 * end)
 
 
-def reserved(bins: int, widest: float) -> Floats:
-    """(3, n) zeros to work with, for histograms of some bins and clusters whose times change by `widest` fine bins at
-    most, over both sides together."""
-    return np.zeros((3, (bins << FINEST) + 3 * (int(widest) + 4) + 8))
-
-
-@compiled(allocates=False)
-def spread(  # type: ignore[no-untyped-def]
-    light, level, time, at, change, shift, histogram, row, steps, own, once, square, cube
-):
-    """Adds light to a row of histogram (…, T), photons; returns what is outside of it.
-
-    level : of the 4^level equal parts of a triangle that it is spread over. time, at : times at the corners by way of
-    the middle of the cluster, bins, which are changed, and weights there, in the order of `PLACES`. change : (4,) of
-    times, bins, and of weights, relative to their mean, along both sides of the cluster. shift : light is spread over
-    the cluster by steps of 2^−shift bins. steps, own, once : of `reserved`, zero before and after. square, cube :
-    (CORNERS[-1],).
+@compiled(forceinline=True, allocates=False)
+def spread(batch, s, histogram, work):  # type: ignore[no-untyped-def]
+    """Adds the light of sample s of a `Batch`, whose times are changed, to histogram (T,); returns what is outside of
+    it, photons.
 
     The times of a flat cluster are those of two boxes, one after the other, and its weights a product of those along
-    its two sides. To spread over a box is to sum over neighbouring bins: elements that fit together still do.
+    its two sides. To spread over a box is to sum over neighbouring steps: elements that fit together still do.
     """
+    light, level, time, at, change, shift = (
+        batch.light[s], batch.level[s], batch.time[s], batch.at[s], batch.change[s], batch.shift[s]
+    )  # fmt: skip
     n, fine, first, last = CORNERS[level], float(1 << shift), time[0], time[0]
     for v in range(n):
         first, last = min(first, time[v]), max(last, time[v])
@@ -164,73 +195,91 @@ def spread(  # type: ignore[no-untyped-def]
         tie = max(tie, min(2.0 - span, math.sqrt(2.0) * max(wide1, wide2)))
         one, two = (0.5 * tie**2, 0.0) if wide1 > wide2 else (0.0, 0.5 * tie**2)
         wide1, wide2 = math.sqrt(max(wide1**2 - one, 0.0)), math.sqrt(max(wide2**2 - two, 0.0))
-    more = _tilted(level, at) if tie > TIED else 0.0
-    m1, end1, tilt1 = _box(wide1, math.copysign(change[2], change[0] * change[2]))
-    m2, end2, tilt2 = _box(wide2, math.copysign(change[3], change[1] * change[3]))
+    more = _delay_by_tilt(level, at) if tie > TIED else 0.0
+    box1 = _box(wide1, math.copysign(change[2], change[0] * change[2]))
+    box2 = _box(wide2, math.copysign(change[3], change[1] * change[3]))
     # Light before the window or after it may be spread into it.
-    reach, T = m1 + m2 + 2, histogram.shape[1] << shift
-    bins = T + 2 * reach
+    reach, T = box1.m + box2.m + 2, len(histogram) << shift
+    count = T + 2 * reach
     first, last = fine * first + reach - tie, fine * last + reach + tie
-    if not (last > 0.0 and first < bins):
+    if not (last > 0.0 and first < count):
         return light
     for v in range(n):
         time[v] = fine * time[v] + tie * (0.5 * (PLACES[v, 0] - PLACES[v, 1]) - more) + reach
-    scale, inside = light / _set_knots(level, at, time, square, cube), 0.0
+    scale = light / _set_knots(level, at, time, work.square, work.cube)
     for v in range(n):
-        if time[v] < bins:
-            _add_steps(time[v], square[v], cube[v], steps)
-    begin, end = np.uint64(max(first, 0.0)), np.uint64(min(last, bins - 1.0))
-    late, by, row = np.uint64(2 * reach), np.uint64(shift), np.uint64(row)
-    stop = min(end + late, np.uint64(bins - 1)) + np.uint64(1)
-    scale /= (2.0 * m1 + 1.0 + 2.0 * end1) * (2.0 * m2 + 1.0 + 2.0 * end2)
-    lean1, lean2 = (m1 + 1) * tilt1 * end1, (m2 + 1) * tilt2 * end2
-    a1, b1, a2, b2 = end1 - lean1, end1 + lean1, end2 - lean2, end2 + lean2
-    s1 = s2 = s3 = 0.0
-    if m1 + m2 == 0:
-        # Of two boxes of three bins each five are left, of the newest light and that of four bins before.
-        c0, c1, c2, c3, c4 = (
-            scale * a1 * a2, scale * (a1 + a2), scale * (1.0 + a1 * b2 + b1 * a2), scale * (b1 + b2), scale * b1 * b2,
-        )  # fmt: skip
-        v1 = v2 = v3 = v4 = 0.0
-        for i in range(begin, stop):
-            v0 = 0.0
-            if i <= end:
-                s1 += steps[i]
-                s2 += s1
-                s3 += s2
-                steps[i] = 0.0
-                v0 = max(s3, 0.0)
-            if i >= late:
-                here = max(c0 * v0 + c1 * v1 + c2 * v2 + c3 * v3 + c4 * v4, 0.0)
-                inside += here
-                histogram[row, (i - late) >> by] += here
-            v1, v2, v3, v4 = v0, v1, v2, v3
+        if time[v] < count:
+            _add_steps(time[v], work.square[v], work.cube[v], work.steps)
+    begin, end, late = np.uint64(max(first, 0.0)), np.uint64(min(last, count - 1.0)), np.uint64(2 * reach)
+    stop = min(end + late, np.uint64(count - 1)) + np.uint64(1)
+    by, scale = np.uint64(shift), scale / (box1.total * box2.total)
+    if box1.m + box2.m == 0:
+        inside = _add_narrow(work, box1, box2, scale, begin, end, stop, late, histogram, by)
     else:
-        k1, k2 = np.uint64(2 * m1 + 2), np.uint64(2 * m2 + 2)
-        for i in range(begin, end + np.uint64(1)):
-            s1 += steps[i]
+        inside = _add_wide(work, box1, box2, scale, begin, end, stop, late, histogram, by)
+    for i in range(end + np.uint64(1), end + np.uint64(5)):
+        work.steps[i] = 0.0
+    return max(light - inside, 0.0) if first < 2 * reach or last >= T else 0.0
+
+
+@compiled(forceinline=True, allocates=False)
+def _add_narrow(work, one, two, scale, begin, end, stop, late, histogram, by):  # type: ignore[no-untyped-def]
+    """Adds light that is spread over two boxes of three steps each to histogram (T,); returns the photons added.
+
+    scale : photons for a unit of light in `work`. begin, end : first and last step that has light; stop : one after
+    the last that it is spread to. late : steps before the window. by : a bin is 2^by steps.
+    """
+    # Five steps are left, of the newest light and that of four steps before.
+    c0, c1, c2, c3, c4 = (
+        scale * one.newest * two.newest, scale * (one.newest + two.newest),
+        scale * (1.0 + one.newest * two.oldest + one.oldest * two.newest), scale * (one.oldest + two.oldest),
+        scale * one.oldest * two.oldest,
+    )  # fmt: skip
+    inside = s1 = s2 = s3 = v1 = v2 = v3 = v4 = 0.0
+    for i in range(begin, stop):
+        v0 = 0.0
+        if i <= end:
+            s1 += work.steps[i]
             s2 += s1
             s3 += s2
-            steps[i] = 0.0
-            own[i + late] = max(s3, 0.0)
-        # `once` is m1 + 1 bins later than `own`, and what is spread twice m2 + 1 bins later than that. Of neighbours
-        # s is the sum, and t that of each times how much later it becomes.
-        s1 = s2 = t1 = t2 = 0.0
-        for i in range(begin, stop):
-            k = i + late
-            new, old = own[k - np.uint64(1)], own[k - k1]
-            t1 += s1 - (m1 + 1) * old - m1 * new
-            s1 += new - old
-            once[k] = s1 + tilt1 * t1 + a1 * own[k] + b1 * old
-            new, old = once[k - np.uint64(1)], once[k - k2]
-            t2 += s2 - (m2 + 1) * old - m2 * new
-            s2 += new - old
-            if i >= late:
-                here = scale * max(s2 + tilt2 * t2 + a2 * once[k] + b2 * old, 0.0)
-                inside += here
-                histogram[row, (i - late) >> by] += here
-        for i in range(begin, stop):
-            own[i + late] = once[i + late] = 0.0
-    for i in range(end + np.uint64(1), end + np.uint64(5)):
-        steps[i] = 0.0
-    return max(light - inside, 0.0) if first < 2 * reach or last >= T else 0.0
+            work.steps[i] = 0.0
+            v0 = max(s3, 0.0)
+        if i >= late:
+            here = max(c0 * v0 + c1 * v1 + c2 * v2 + c3 * v3 + c4 * v4, 0.0)
+            inside += here
+            histogram[(i - late) >> by] += here
+        v1, v2, v3, v4 = v0, v1, v2, v3
+    return inside
+
+
+@compiled(forceinline=True, allocates=False)
+def _add_wide(work, one, two, scale, begin, end, stop, late, histogram, by):  # type: ignore[no-untyped-def]
+    """The same for two boxes of any width."""
+    own, once, unit = work.own, work.once, np.uint64(1)
+    k1, k2 = np.uint64(2 * one.m + 2), np.uint64(2 * two.m + 2)
+    inside = s1 = s2 = s3 = 0.0
+    for i in range(begin, end + unit):
+        s1 += work.steps[i]
+        s2 += s1
+        s3 += s2
+        work.steps[i] = 0.0
+        own[i + late] = max(s3, 0.0)
+    # `once` is m + 1 steps of the first box later than `own`, and what is spread twice as much later again by the
+    # second box. Of neighbours s is the sum, and t that of each times how much later it becomes.
+    s1 = s2 = t1 = t2 = 0.0
+    for i in range(begin, stop):
+        k = i + late
+        new, old = own[k - unit], own[k - k1]
+        t1 += s1 - (one.m + 1) * old - one.m * new
+        s1 += new - old
+        once[k] = s1 + one.tilt * t1 + one.newest * own[k] + one.oldest * old
+        new, old = once[k - unit], once[k - k2]
+        t2 += s2 - (two.m + 1) * old - two.m * new
+        s2 += new - old
+        if i >= late:
+            here = scale * max(s2 + two.tilt * t2 + two.newest * once[k] + two.oldest * old, 0.0)
+            inside += here
+            histogram[(i - late) >> by] += here
+    for i in range(begin, stop):
+        own[i + late] = once[i + late] = 0.0
+    return inside

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, MEETING, PARTS, PLACES, spread
+from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, MEETING, PARTS, PLACES, SPANS, spread
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
@@ -44,10 +44,8 @@ POINTS = 4
 OPENED = 16
 """Where a pixel was opened into so many clusters, samples are spread over a quarter of a piece, where into four times
 as many over a sixteenth: each cluster draws its own, but the shape of a whole piece would be alike in all."""
-FINE, LEAST_WIDTH = (2.0, 8.0, 24.0), 1e-3
-"""Bins over which an element's times spread up to which its light is spread over a cluster by eighths, quarters and
-halves of a bin (by whole bins rooms erred by 1.2 to 1.6 times as much); and a change of times over a cluster that is
-none, bins."""
+LEAST_WIDTH = 1e-3
+"""Change of times over a cluster, bins, below which all of the cluster counts as at one time."""
 UNEVEN = 0.5
 """Range of the place at which pieces are halved, relative to their side: no two replicates have the same elements."""
 STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
@@ -96,8 +94,9 @@ class Batch(NamedTuple):
 
     ends : (n, 3, 3) laser point, hidden point and FoV point in embree's frame. row : (n,) of the histogram. light :
     (n,) photons. level : (n,) of the 4^level equal parts of a triangle that the light is spread over. time, at :
-    (n, CORNERS[-1]) arrival times by way of their corners and the first tap of the cluster, bins, and weights there,
-    in the order of `PLACES`. taps : (n, 2) taps along both sides of the cluster, a bin apart.
+    (n, CORNERS[-1]) arrival times at their corners, by way of the middle of the cluster, bins, and weights there, in
+    the order of `PLACES`. change : (n, 4) of times, bins, and of weights, relative to their mean, along both sides of
+    the cluster. shift : (n,) light is spread over the cluster by steps of 2^−shift bins.
     """
 
     ends: NDArray[np.float32]
@@ -335,8 +334,9 @@ def _sample(walk, top, piece, chance, replicate, straight, room, pool, surface, 
     _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
     batch.light[used], batch.level[used] = light / chance, hidden.level
-    width = piece.width
-    batch.shift[used] = 3 if width < FINE[0] else 2 if width < FINE[1] else 1 if width < FINE[2] else 0
+    batch.shift[used] = 0
+    for span in SPANS:
+        batch.shift[used] += piece.width < span
     return True
 
 
@@ -457,7 +457,7 @@ def legs_of(batch, rows, leg, origin, span):  # type: ignore[no-untyped-def]
 
 @compiled(allocates=False)
 def widest(batch, rows):  # type: ignore[no-untyped-def]
-    """Change of times over both sides of a cluster together, at most, of some samples, fine bins."""
+    """The largest change of times over both sides of a cluster together, of some samples, steps."""
     most = 0.0
     for s in rows:
         most = max(most, (abs(batch.change[s, 0]) + abs(batch.change[s, 1])) * (1 << batch.shift[s]))
@@ -465,13 +465,10 @@ def widest(batch, rows):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def pour_all(batch, rows, histogram, outside, room, square, cube):  # type: ignore[no-untyped-def]
+def pour_all(batch, rows, histogram, outside, work):  # type: ignore[no-untyped-def]
     """Adds the light of some samples to their rows of histogram (…, T), and what is outside of it to outside (…).
 
-    room : `reserved` for them. square, cube : (CORNERS[-1],).
+    work : a `Work` for the `widest` of them.
     """
     for s in rows:
-        outside[batch.row[s]] += spread(
-            batch.light[s], batch.level[s], batch.time[s], batch.at[s], batch.change[s], batch.shift[s],
-            histogram, batch.row[s], room[0], room[1], room[2], square, cube,
-        )  # fmt: skip
+        outside[batch.row[s]] += spread(batch, s, histogram[batch.row[s]], work)

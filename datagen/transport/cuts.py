@@ -23,7 +23,7 @@ import numpy as np
 from datagen.records import Scene
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.seeding import LightStream
-from datagen.transport.arrival_times import CORNERS, reserved
+from datagen.transport.arrival_times import Work
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
 from datagen.transport.cut_elements import COARSE, Room, Walk
@@ -190,7 +190,7 @@ class Cuts:
         self.straight = STRAIGHT * target
         self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
         self.memory = np.zeros(0)
-        self.widest, self.workspace = 0.0, reserved(axis.bins, 0.0)
+        self.widest, self.work = 0.0, Work.of(axis.bins, 0.0)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
         self.origin, self.span = np.empty((SAMPLES, 3), np.float32), np.empty((SAMPLES, 3), np.float32)
 
@@ -323,9 +323,9 @@ class Cuts:
                 legs_of(self.batch, visible, leg, origin, span)
                 visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
             if (wide := widest(self.batch, visible)) > self.widest:
-                self.widest, self.workspace = wide, reserved(light.shape[2], wide)
+                self.widest, self.work = wide, Work.of(light.shape[2], wide)
             rows_of, over = light.reshape(-1, light.shape[2]), outside.reshape(-1)
-            pour_all(self.batch, visible, rows_of, over, self.workspace, *np.empty((2, CORNERS[-1])))
+            pour_all(self.batch, visible, rows_of, over, self.work)
         self.is_limited |= bool(walk.at[3] >= most)
         return samples
 

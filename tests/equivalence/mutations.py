@@ -179,11 +179,11 @@ MUTATIONS = (
     ),
     Mutation(
         "times: a narrow cluster without its last bin", "arrival_times.py",
-        "scale * b1 * b2", "0.0", SPREAD + "[a narrow cluster-0]",
+        "scale * one.oldest * two.oldest", "0.0", SPREAD + "[a narrow cluster-0]",
     ),
     Mutation(
         "times: light that changes over a cluster the wrong way round", "arrival_times.py",
-        "s1 + tilt1 * t1", "s1 - tilt1 * t1", SPREAD + "[a point, weights that change-0]",
+        "s1 + one.tilt * t1", "s1 - one.tilt * t1", SPREAD + "[a point, weights that change-0]",
     ),
     Mutation(
         "times: corners at one time are not told apart", "arrival_times.py",

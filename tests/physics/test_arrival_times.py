@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from small_pieces import small_pieces
 
-from datagen.transport.arrival_times import BETWEEN, CORNERS, FINEST, LEVELS, PARTS, PLACES, reserved, spread
+from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, PARTS, PLACES, SPANS, Work, spread
+from datagen.transport.cut_steps import Batch
 
 BINS, LIGHT = 60, 2.5
 STILL = (0.0, 0.0, 0.0, 0.0)
@@ -36,18 +37,17 @@ Corners = tuple[float, ...]
 
 
 def found(
-    times: Corners, weights: Corners, change: Corners, level: int = 0, shift: int = FINEST, bins: int = BINS
+    times: Corners, weights: Corners, change: Corners, level: int = 0, shift: int = len(SPANS), bins: int = BINS
 ) -> np.ndarray:
     """(bins + 1,) the light of one element of LIGHT photons, and what is outside, last."""
     s1, s2 = PLACES.T
-    time, at = (of[0] * (1 - s1 - s2) + of[1] * s1 + of[2] * s2 for of in (times, weights))
-    histogram = np.zeros((1, bins))
-    room = reserved(bins, 2**shift * (abs(change[0]) + abs(change[1])))
-    outside = spread(
-        LIGHT, level, time, at, np.array(change), shift, histogram, 0, *room, *np.empty((2, CORNERS[-1]))
-    )
-    assert not room.any()
-    return np.append(histogram[0], outside)
+    batch, histogram = Batch.of(1), np.zeros(bins)
+    batch.time[0], batch.at[0] = (of[0] * (1 - s1 - s2) + of[1] * s1 + of[2] * s2 for of in (times, weights))
+    batch.light[0], batch.level[0], batch.change[0], batch.shift[0] = LIGHT, level, change, shift
+    work = Work.of(bins, 2**shift * (abs(change[0]) + abs(change[1])))
+    outside = spread(batch, 0, histogram, work)
+    assert not any(of.any() for of in (work.steps, work.own, work.once))
+    return np.append(histogram, outside)
 
 
 def of_small_pieces(times: Corners, weights: Corners, change: Corners) -> np.ndarray:
@@ -87,7 +87,7 @@ def random_element(rng: np.random.Generator) -> tuple[Corners, Corners, Corners]
     return tuple(tied), tuple(rng.random(3)), tuple(change)
 
 
-@pytest.mark.parametrize("shift", range(FINEST + 1))
+@pytest.mark.parametrize("shift", range(len(SPANS) + 1))
 def test_windows_of_windows(shift: int) -> None:
     """What arrives within a window does not depend on what is recorded outside of it."""
     rng, before = np.random.default_rng([3, shift]), 1500
@@ -111,7 +111,7 @@ def test_parts_of_parts() -> None:
             np.testing.assert_allclose(found(times, weights, change, level), whole, atol=1e-3 * LIGHT)
 
 
-@pytest.mark.parametrize("shift", range(FINEST + 1))
+@pytest.mark.parametrize("shift", range(len(SPANS) + 1))
 def test_halves_of_an_element_are_together_as_the_whole(shift: int) -> None:
     """Spread about its own mean each half would leave a gap, or overlap the other."""
     change = (3.7, -1.6, 0.6, 0.2)
