@@ -8,6 +8,7 @@ number of bins that it spreads over.
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +33,7 @@ from datagen.transport.geometry import (
     transmittance,
 )
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.weights import Brdf, brdf_of
+from datagen.transport.weights import Brdf, End, brdf_of
 
 COARSEST = 1.2
 """Largest size of an element relative to its distance, whatever its light; of larger ones a few in corners have most
@@ -47,8 +48,6 @@ times, relative to their span, that its parts have at most before it is halved: 
 as its histogram may err by, and less in proportion for one of more. Replicates cannot see what is wrong with shapes:
 0.2 % where 2 % are asked. A needle of two triangles erred by 3.2 % where bends were not halved, and rooms by half as
 much again for the same time."""
-DIVIDED = 4.0**LEVELS
-"""How many times straighter than a piece its smallest parts are."""
 BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
@@ -57,10 +56,22 @@ COARSE = 1e300
 """A δ with which only what is near is cut."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
-BOX, PIECE = 0, 1
-"""What waits."""
-NOTHING, CLUSTER_FIRST, HALVES, SAMPLE = range(4)
-"""What becomes of it."""
+
+
+class Waiting(IntEnum):
+    """What waits to be cut."""
+
+    BOX = 0
+    PIECE = 1
+
+
+class Verdict(IntEnum):
+    """What becomes of it: it is left out, cut in one of two ways, or an element, which gives a sample."""
+
+    NOTHING = 0
+    QUARTERS_OF_CLUSTER = 1
+    HALVES = 2
+    SAMPLE = 3
 
 
 class Room(NamedTuple):
@@ -124,16 +135,29 @@ class Cluster(NamedTuple):
     lobe: float
 
 
-class Piece(NamedTuple):
-    """What is known of a piece of a triangle and a cluster.
+class Way(NamedTuple):
+    """What a guess of light needs: the part that is cut, the laser point, the cluster; `values`, `air` and `plane` of
+    `Room`."""
 
-    verdict : what becomes of it. most : largest guess on it. area : m². width : bins that its light spreads over.
-    bend : by how much the mean of the times at its corners is later than the time at its middle, bins. across :
-    square of its size over its distance from the laser point and the cluster. inside : whether its light may arrive
-    within the window. even : square of its size over its distance up to which its weights count as linear.
+    surface: Surface
+    lit: End
+    seen: Cluster
+    values: Floats
+    air: float
+    plane: float
+
+
+class Piece(NamedTuple):
+    """What is known of a piece of a triangle, or of a box, and a cluster.
+
+    verdict : what becomes of it. most : largest guess on it. area : m²; 1 for a box, whose guess is that of all of
+    it. width : bins that its light spreads over. bend : by how much the mean of the times at its corners is later
+    than the time at its middle, bins. across : square of its size over its distance from the laser point and the
+    cluster. inside : whether its light may arrive within the window. even : square of its size over its distance up
+    to which its weights count as linear.
     """
 
-    verdict: int
+    verdict: Verdict
     most: float
     area: float
     width: float
@@ -146,11 +170,10 @@ class Piece(NamedTuple):
 class Walk(NamedTuple):
     """Where a walk through the elements of some pairs is, so that it goes on when a batch has been emptied.
 
-    tag, piece : what waits, (STACK, 5) BOX or PIECE, its index, the cluster, its first square and their number;
+    tag : (STACK, 5) what waits: `Waiting`, its index, the cluster, its first square and their number. piece :
     (STACK, 15) corners of a piece, and the guesses and distances to the laser point there. at : (4,) pair, part and
-    height of the stack at which to go on, and elements so far; all 0 at first. numbers, state : (4,) and (1,)
-    random numbers, and the state of their stream. The last number, a random one at first, tells when an element is
-    drawn.
+    height of the stack at which to go on, and elements so far; all 0 at first. numbers : (4,) random numbers, of
+    which the last, a random one at first, tells when an element is drawn. state : (1,) of their stream.
     """
 
     tag: Ints
@@ -181,6 +204,12 @@ def cluster_of(room, pool, p, c, power):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
+def way_to(way, seen):  # type: ignore[no-untyped-def]
+    """The way to another cluster."""
+    return Way(way.surface, way.lit, seen, way.values, way.air, way.plane)
+
+
+@compiled(forceinline=True, allocates=False)
 def _most(brdf, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
     """A guess of the largest BRDF near two directions, never 0 unless the surface is black."""
     if brdf.kind == LAMBERTIAN:
@@ -190,11 +219,12 @@ def _most(brdf, values, n, a, b, turn, tilt):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def guess(y, n, surface, lit, seen, values, air, plane, turn):  # type: ignore[no-untyped-def]
+def guess(y, n, way, turn):  # type: ignore[no-untyped-def]
     """A guess of the light at point y, for each m² and unit of gain, and the distance to the laser point.
 
-    n : normal at y. surface, lit, seen : there, laser point and cluster. turn : how far y may be off, metres.
+    n : normal at y. turn : how far y may be off, metres.
     """
+    surface, lit, seen, values, air, plane = way
     size, d1, d3 = seen.size, subtract(y, lit.point), subtract(y, seen.middle)
     square1, square3 = dot(d1, d1), dot(d3, d3)
     r1, r3 = math.sqrt(square1), math.sqrt(square3)
@@ -236,10 +266,11 @@ def _facing(m, radius, axis, cosine, sine, x, rise):  # type: ignore[no-untyped-
     return min(1.0, rise / near) * min(1.0, (along + across + radius) / near)
 
 
-@compiled(allocates=False)
-def light_of_box(tree, at, surface, lit, seen, values, air, plane):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True, allocates=False)
+def _light_of_box(tree, at, way):  # type: ignore[no-untyped-def]
     """About the most light of box `at`, for each unit of gain: −1 if no point of the cluster or no laser light gets
     there, infinite if it is near or holds few triangles."""
+    surface, lit, seen, values, air, plane = way
     x, z, size = lit.point, seen.middle, seen.size
     m, r = bounding_sphere(tree.box, at)
     d1, d3 = distance(m, x), distance(m, z)
@@ -271,17 +302,27 @@ def light_of_box(tree, at, surface, lit, seen, values, air, plane):  # type: ign
 
 
 @compiled(forceinline=True, allocates=False)
-def may_arrive(early, late, room):  # type: ignore[no-untyped-def]
+def _may_arrive(early, late, room):  # type: ignore[no-untyped-def]
     """Whether light on paths of some lengths, metres, may arrive within the window."""
     return late * room.per_metre > room.start and early * room.per_metre < room.start + room.bins
 
 
 @compiled(forceinline=True, allocates=False)
-def box_may_arrive(tree, at, leg, room, lit, seen):  # type: ignore[no-untyped-def]
-    """Whether light by way of box `at` may arrive within the window; leg : to laser and sensor, metres."""
+def judge_box(tree, at, enough, leg, room, way):  # type: ignore[no-untyped-def]
+    """Box `at` as a `Piece`, where elements bring at most `enough` photons.
+
+    leg : from the laser and to the sensor, metres.
+    """
+    light = _light_of_box(tree, at, way)
+    if light < 0.0:
+        return Piece(Verdict.NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     m, r = bounding_sphere(tree.box, at)
-    middle, off = distance(m, lit.point) + distance(m, seen.middle) + leg, 2.0 * (r + seen.size)
-    return may_arrive(middle - off, middle + off, room)
+    middle = distance(m, way.lit.point) + distance(m, way.seen.middle) + leg
+    off = 2.0 * (r + way.seen.size)
+    is_inside = _may_arrive(middle - off, middle + off, room)
+    # What is near is cut wherever its light arrives.
+    is_cut = light == np.inf or (is_inside and way.seen.gain * light > enough)
+    return Piece(Verdict.HALVES if is_cut else Verdict.SAMPLE, light, 1.0, 1.0, 0.0, 0.0, is_inside, 0.0)
 
 
 @compiled(forceinline=True, allocates=False)
@@ -291,32 +332,32 @@ def push(tag, top, what, at, c, q, many):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _set_corner(piece, top, v, y, n, surface, lit, seen, values, air, plane):  # type: ignore[no-untyped-def]
+def _set_corner(piece, top, v, y, n, way):  # type: ignore[no-untyped-def]
     """Sets corner v of a piece: its place, the guess of its light, and its distance from the laser point."""
     put(piece, top, 3 * v, y)
-    piece[top, 9 + v], piece[top, 12 + v] = guess(y, n, surface, lit, seen, values, air, plane, 0.0)
+    piece[top, 9 + v], piece[top, 12 + v] = guess(y, n, way, 0.0)
 
 
 @compiled(forceinline=True, allocates=False)
-def open_box(walk, top, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def open_box(walk, top, room, way):  # type: ignore[no-untyped-def]
     """Lets the halves of the box at `top` wait in its place, or its triangles; returns the new top."""
     tag, tree = walk.tag, room.tree
     at, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4]
     if tree.children[at, 0] >= 0:
-        push(tag, top, BOX, tree.children[at, 0], c, q, many)
-        push(tag, top + 1, BOX, tree.children[at, 1], c, q, many)
+        push(tag, top, Waiting.BOX, tree.children[at, 0], c, q, many)
+        push(tag, top + 1, Waiting.BOX, tree.children[at, 1], c, q, many)
         return top + 2
     for f in range(tree.span[at, 0], tree.span[at, 1]):
-        push(tag, top, PIECE, f, c, q, many)
+        push(tag, top, Waiting.PIECE, f, c, q, many)
         for v in range(3):
             y, n = corner(tree.corners, f, v), get(tree.normal, f, 0)
-            _set_corner(walk.piece, top, v, y, n, surface, lit, seen, room.values, room.air, room.plane)
+            _set_corner(walk.piece, top, v, y, n, way)
         top += 1
     return top
 
 
 @compiled(forceinline=True, allocates=False)
-def open_cluster(walk, top, n, room, pool, p, power, surface, lit):  # type: ignore[no-untyped-def]
+def open_cluster(walk, top, n, room, pool, p, power, way):  # type: ignore[no-untyped-def]
     """Lets the piece at `top`, with normal n, wait with each quarter of its cluster; returns the new top."""
     tag, piece = walk.tag, walk.piece
     f, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] // 4
@@ -324,17 +365,17 @@ def open_cluster(walk, top, n, room, pool, p, power, surface, lit):  # type: ign
     for j in range(4):
         inner = 4 * c + 1 + j
         if pool.cluster[p, inner, 9] > 0.0:
-            push(tag, top, PIECE, f, inner, q + j * many, many)
-            seen = cluster_of(room, pool, p, inner, power)
+            push(tag, top, Waiting.PIECE, f, inner, q + j * many, many)
+            inner_way = way_to(way, cluster_of(room, pool, p, inner, power))
             for v in range(3):
                 y = y0 if v == 0 else y1 if v == 1 else y2
-                _set_corner(piece, top, v, y, n, surface, lit, seen, room.values, room.air, room.plane)
+                _set_corner(piece, top, v, y, n, inner_way)
             top += 1
     return top
 
 
 @compiled(forceinline=True, allocates=False)
-def halve(walk, top, share, n, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def halve(walk, top, share, n, way):  # type: ignore[no-untyped-def]
     """Lets the two parts of the piece at `top`, with normal n, wait, divided across its longest side; returns the new
     top."""
     tag, piece = walk.tag, walk.piece
@@ -344,8 +385,8 @@ def halve(walk, top, share, n, room, surface, lit, seen):  # type: ignore[no-unt
     y = (one[0] + share * (two[0] - one[0]), one[1] + share * (two[1] - one[1]), one[2] + share * (two[2] - one[2]))
     for j in range(15):
         piece[top + 1, j] = piece[top, j]
-    push(tag, top + 1, PIECE, tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4])
-    _set_corner(piece, top, o, y, n, surface, lit, seen, room.values, room.air, room.plane)
+    push(tag, top + 1, Waiting.PIECE, tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4])
+    _set_corner(piece, top, o, y, n, way)
     put(piece, top + 1, 3 * e, y)
     piece[top + 1, 9 + e], piece[top + 1, 12 + e] = piece[top, 9 + o], piece[top, 12 + o]
     return top + 2
@@ -371,48 +412,49 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def judged(walk, top, n, delta, error, straight, leg, last_leg, room, surface, lit, seen):  # type: ignore[no-untyped-def]
+def judge(walk, top, n, delta, error, straight, leg, last_leg, room, way):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 
     error : L2 error that is asked of a histogram, photons. straight : of `Asked`. leg, last_leg : from the laser, and
     to the sensor, metres.
     """
+    surface, lit, seen = way.surface, way.lit, way.seen
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
     if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
-        return Piece(NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
+        return Piece(Verdict.NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
     may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
     # Over a cluster the light must be linear.
     if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
-        return Piece(CLUSTER_FIRST, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
+        return Piece(Verdict.QUARTERS_OF_CLUSTER, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     t0, t1, t2 = (
         piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
     )  # fmt: skip
     late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
     leg += last_leg if room.device else 0.0
-    is_inside = may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
+    is_inside = _may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
-        return Piece(HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
+        return Piece(Verdict.HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
     # A lobe may be bright between the corners; and corners may be below either surface and the middle above both.
     is_matt = lit.brdf.kind == LAMBERTIAN and seen.brdf.kind == LAMBERTIAN and surface.brdf.kind == LAMBERTIAN
     if most <= 0.0 or not is_matt:
-        most = max(most, guess(m, n, surface, lit, seen, room.values, room.air, room.plane, h + size)[0])
+        most = max(most, guess(m, n, way, h + size)[0])
     normal = cross(subtract(y1, y0), subtract(y2, y0))
     area = 0.5 * math.sqrt(dot(normal, normal))
     width = max(1.0, (late - early) * room.per_metre)
     bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre
     across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
     # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
-    verdict, light, worth = SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
+    verdict, light, worth = Verdict.SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
     slack = error * math.sqrt(width) / light if light > 0.0 else np.inf
-    bent = DIVIDED * max(CURVED * slack, straight) * width
+    bent = 4.0**LEVELS * max(CURVED * slack, straight) * width
     if is_inside:
         arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
-            verdict = CLUSTER_FIRST
+            verdict = Verdict.QUARTERS_OF_CLUSTER
         elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > bent):
-            verdict = HALVES
+            verdict = Verdict.HALVES
     return Piece(verdict, most, area, width, bend, across, is_inside, EVEN * min(slack, 1.0))

@@ -14,20 +14,17 @@ from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, MEETING, P
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
-    BOX,
-    CLUSTER_FIRST,
     COARSE,
     COARSEST_CLUSTER,
-    HALVES,
-    SAMPLE,
-    Piece,
     Surface,
-    box_may_arrive,
+    Verdict,
+    Waiting,
+    Way,
     cluster_of,
     guess,
     halve,
-    judged,
-    light_of_box,
+    judge,
+    judge_box,
     open_box,
     open_cluster,
     push,
@@ -66,13 +63,13 @@ class Asked(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """A laser point and a pixel: the laser point, its distance to the laser where that counts, m, the share of light
-    that it stands for, and the index of the pixel."""
+    """A laser point and a pixel: the distance from the laser where that counts, m; the share of light that the laser
+    point stands for; the index of the pixel, and of the first of its FoV points that a replicate may use."""
 
-    lit: End
     leg: float
     power: float
     pixel: int
+    first: int
 
 
 class Hidden(NamedTuple):
@@ -131,7 +128,7 @@ def _fraction(u):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
+def _point_in(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
     """The point of a triangle with some barycentric coordinates."""
     return (
         s0 * y0[0] + s1 * y1[0] + s2 * y2[0], s0 * y0[1] + s1 * y1[1] + s2 * y2[1],
@@ -142,7 +139,7 @@ def _between(y0, y1, y2, s0, s1, s2):  # type: ignore[no-untyped-def]
 @compiled(forceinline=True, allocates=False)
 def _part_corner(y0, y1, y2, v):  # type: ignore[no-untyped-def]
     """Corner v of the parts of a triangle."""
-    return _between(y0, y1, y2, 1.0 - PLACES[v, 0] - PLACES[v, 1], PLACES[v, 0], PLACES[v, 1])
+    return _point_in(y0, y1, y2, 1.0 - PLACES[v, 0] - PLACES[v, 1], PLACES[v, 0], PLACES[v, 1])
 
 
 @compiled(forceinline=True, allocates=False)
@@ -159,17 +156,17 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _change_over_cluster(y, z, to_sensor, sides, last_leg):  # type: ignore[no-untyped-def]
-    """By how much paths by way of y are longer in the mean over a flat cluster than by way of its middle z, metres,
-    and their change along each of its two sides.
+def _change_over_cluster(y, seen, row, device):  # type: ignore[no-untyped-def]
+    """By how much paths by way of y are longer in the mean over a flat cluster than by way of its middle, metres, and
+    their change along each of its two sides.
 
-    sides : of the cluster, metres. last_leg : to the sensor, metres; infinite if it does not count.
+    row : (18,) of the cluster. device : whether the leg to the sensor counts.
 
     The mean of a leg of length r, which is bent, grows by (s² − (s · w)²)/(24 r) for a side s and its direction w.
     """
-    d = subtract(y, z)
-    r, mean, last = math.sqrt(dot(d, d)), 0.0, 1.0 if last_leg < np.inf else 0.0
-    s1, s2 = (sides[0], sides[1], sides[2]), (sides[3], sides[4], sides[5])
+    d, to_sensor = subtract(y, seen.middle), seen.back
+    r, mean, (last, last_leg) = math.sqrt(dot(d, d)), 0.0, (1.0, row[17]) if device else (0.0, np.inf)
+    s1, s2 = (row[11], row[12], row[13]), (row[14], row[15], row[16])
     for s in (s1, s2):
         mean += (dot(s, s) - (dot(d, s) / r) ** 2) / (24.0 * r)
         mean += (dot(s, s) - dot(to_sensor, s) ** 2) / (24.0 * last_leg)
@@ -178,7 +175,7 @@ def _change_over_cluster(y, z, to_sensor, sides, last_leg):  # type: ignore[no-u
 
 
 @compiled(forceinline=True, allocates=False)
-def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
+def _draw_part(at, level, u):  # type: ignore[no-untyped-def]
     """The number of a part, drawn by its light; u as a new random number; and the sum of the guesses at all corners
     of all parts."""
     total, last = 0.0, (1 << 2 * level) - 1
@@ -195,14 +192,15 @@ def _drawn_part(at, level, u):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _drawn(walk, top, piece, squares, straight, room, surface, lit, seen, at):  # type: ignore[no-untyped-def]
+def _draw(walk, top, piece, squares, straight, room, way, at):  # type: ignore[no-untyped-def]
     """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes.
 
     squares : of the pixel. straight : of `Asked`.
     """
+    bare = Way(way.surface, way.lit, way.seen, way.values, 0.0, way.plane)
     tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
     clear0 = clear1 = clear2 = 1.0
-    is_box, is_opened = walk.tag[top, 0] == BOX, False
+    is_box, is_opened = walk.tag[top, 0] == Waiting.BOX, False
     if is_box:
         low, high = tree.span[f, 0], tree.span[f, 1]
         area = tree.area[high] - tree.area[low]
@@ -220,9 +218,9 @@ def _drawn(walk, top, piece, squares, straight, room, surface, lit, seen, at):  
         while level < LEVELS and (level < least or across > piece.even):
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
         # Air, which changes little over a piece, is interpolated: exponentials are no part of the loop over corners.
-        clear0 = transmittance(room.air, own[12] + distance(y0, seen.middle))
-        clear1 = transmittance(room.air, own[13] + distance(y1, seen.middle))
-        clear2 = transmittance(room.air, own[14] + distance(y2, seen.middle))
+        clear0 = transmittance(room.air, own[12] + distance(y0, way.seen.middle))
+        clear1 = transmittance(room.air, own[13] + distance(y1, way.seen.middle))
+        clear2 = transmittance(room.air, own[14] + distance(y2, way.seen.middle))
     for v in range(CORNERS[level]):
         s1, s2 = PLACES[v, 0], PLACES[v, 1]
         s0 = 1.0 - s1 - s2
@@ -230,14 +228,14 @@ def _drawn(walk, top, piece, squares, straight, room, surface, lit, seen, at):  
         if max(s0, s1, s2) < 1.0:
             y = _part_corner(y0, y1, y2, v)
             clear = s0 * clear0 + s1 * clear1 + s2 * clear2
-            light = max(clear * guess(y, n, surface, lit, seen, room.values, 0.0, room.plane, 0.0)[0], LEAST * light)
+            light = max(clear * guess(y, n, bare, 0.0)[0], LEAST * light)
         at[v] = light
-    part, u, total = _drawn_part(at, level, walk.numbers[0])
+    part, u, total = _draw_part(at, level, walk.numbers[0])
     a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
     t0, t1, t2 = _barycentric(u, walk.numbers[1], at[a], at[b], at[c])
     s1 = t0 * PLACES[a, 0] + t1 * PLACES[b, 0] + t2 * PLACES[c, 0]
     s2 = t0 * PLACES[a, 1] + t1 * PLACES[b, 1] + t2 * PLACES[c, 1]
-    y = _between(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
+    y = _point_in(y0, y1, y2, 1.0 - s1 - s2, s1, s2)
     light = area * total / (3.0 * (1 << 2 * level))
     density = (t0 * at[a] + t1 * at[b] + t2 * at[c]) / light
     if is_opened:
@@ -254,21 +252,21 @@ def _drawn(walk, top, piece, squares, straight, room, surface, lit, seen, at):  
 
 
 @compiled(forceinline=True, allocates=False)
-def _seen_from(hidden, walk, top, replicate, room, pool, surface, pair, tilt):  # type: ignore[no-untyped-def]
+def _choose_fov_point(hidden, walk, top, room, pool, pair, way, tilt):  # type: ignore[no-untyped-def]
     """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all.
 
     tilt : (2,) set to the change of weights along the sides of the cluster, relative to their mean.
     """
     q, many, total, chosen, one, two = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1, 0.0, 0.0
-    points, first = min(many, POINTS), pair.pixel * (len(pool.part) // len(pool.cluster))
+    points = min(many, POINTS)
     each = many // points
     for m in range(points):
-        j = first + 2 * (q + m * each + min(int(walk.numbers[2] * each), each - 1)) + replicate
+        j = pair.first + 2 * (q + m * each + min(int(walk.numbers[2] * each), each - 1))
         k = pool.part[j]
         if k >= 0:
             brdf = brdf_of(room.kind, room.values, k)
             z = End(get(pool.position, j, 0), get(pool.normal, j, 0), get(pool.to_sensor, j, 0), brdf)
-            w, _, _ = weight(hidden.point, hidden.normal, surface.brdf, pair.lit, z, room.values, 0.0, room.air)
+            w, _, _ = weight(hidden.point, hidden.normal, way.surface.brdf, way.lit, z, room.values, 0.0, room.air)
             light = pair.power * each * w * pool.weight[j] / hidden.density
             # One of them, drawn by its light, stands for all.
             total += light
@@ -295,7 +293,7 @@ def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # type: ignore[no-untyped-def]
+def _set_times(time, change, hidden, z, last_leg, row, room, pair, way):  # type: ignore[no-untyped-def]
     """Sets the times (CORNERS[-1],) of a sample by way of FoV point z, and their change (2,) along the sides of the
     cluster, bins.
 
@@ -304,35 +302,34 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, seen):  # typ
     per, mean, one, two = room.per_metre, 0.0, 0.0, 0.0
     if row[17] > 0.0:
         # Times, which change most over a pixel, are those of all of a flat cluster.
-        z, last_leg = seen.middle, row[17]
-        sides = (row[11], row[12], row[13], row[14], row[15], row[16])
-        mean, one, two = _change_over_cluster(hidden.point, z, seen.back, sides, last_leg if room.device else np.inf)
+        z, last_leg = way.seen.middle, row[17]
+        mean, one, two = _change_over_cluster(hidden.point, way.seen, row, room.device)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
     y0, y1, y2 = hidden.corners
     for v in range(CORNERS[hidden.level]):
         y = _part_corner(y0, y1, y2, v)
-        time[v] = (distance(y, pair.lit.point) + distance(y, z) + path) * per
+        time[v] = (distance(y, way.lit.point) + distance(y, z) + path) * per
     is_narrow = abs(one) + abs(two) < LEAST_WIDTH / per
     change[0], change[1] = (0.0, 0.0) if is_narrow else (one * per, two * per)
 
 
 @compiled(forceinline=True, allocates=False)
-def _sample(walk, top, piece, chance, replicate, straight, room, pool, surface, pair, seen, expected, batch, used):  # type: ignore[no-untyped-def]
+def _sample(walk, top, piece, chance, asked, room, pool, pair, way, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`, which is drawn with some chance; returns
     whether it brings light."""
-    squares = len(pool.part) // (2 * len(pool.cluster))
-    hidden = _drawn(walk, top, piece, squares, straight, room, surface, pair.lit, seen, batch.at[used])
-    lobe, many = min(surface.lobe, seen.lobe), walk.tag[top, 4]
+    squares, seen = len(pool.part) // (2 * len(pool.cluster)), way.seen
+    hidden = _draw(walk, top, piece, squares, asked.straight, room, way, batch.at[used])
+    lobe, many = min(way.surface.lobe, seen.lobe), walk.tag[top, 4]
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
     expected[0] += seen.gain * hidden.light / chance
     expected[1] += seen.gain * hidden.light / chance if is_near else 0.0
-    j, light = _seen_from(hidden, walk, top, replicate, room, pool, surface, pair, batch.change[used, 2:])
+    j, light = _choose_fov_point(hidden, walk, top, room, pool, pair, way, batch.change[used, 2:])
     if j < 0:
         return False
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
-    _set_rays(batch.ends[used], hidden, pair.lit, z, get(pool.normal, j, 0), room)
-    _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, seen)
+    _set_rays(batch.ends[used], hidden, way.lit, z, get(pool.normal, j, 0), room)
+    _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, way)
     batch.light[used], batch.level[used] = light / chance, hidden.level
     batch.shift[used] = 0
     for span in SPANS:
@@ -350,6 +347,24 @@ def _is_drawn(walk, chance):  # type: ignore[no-untyped-def]
     return True
 
 
+@compiled(forceinline=True, allocates=False)
+def _cut(walk, top, enough, error, straight, room, pool, pair, way):  # type: ignore[no-untyped-def]
+    """The `Piece` of what waits at `top`, and the height of the stack after that has been cut, where it is; `enough`
+    and the others as in `judge`."""
+    at, last_leg = walk.tag[top, 1], pool.leg[way.seen.one]
+    if walk.tag[top, 0] == Waiting.BOX:
+        leg = pair.leg + (last_leg if room.device else 0.0)
+        piece = judge_box(room.tree, at, enough, leg, room, way)
+        return piece, open_box(walk, top, room, way) if piece.verdict == Verdict.HALVES else top
+    n = get(room.tree.normal, at, 0)
+    piece = judge(walk, top, n, enough, error, straight, pair.leg, last_leg, room, way)
+    if piece.verdict == Verdict.QUARTERS_OF_CLUSTER:
+        top = open_cluster(walk, top, n, room, pool, pair.pixel, pair.power, way)
+    elif piece.verdict == Verdict.HALVES:
+        top = halve(walk, top, 0.5 + UNEVEN * (_random(walk.state) - 0.5), n, way)
+    return piece, top
+
+
 @compiled(allocates=False)
 def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
@@ -359,18 +374,18 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
     where the last batch was full; its pair is n when all is done. expected : (3,) photons as guessed, added up: of
     all pieces, of those whose FoV points are far apart for their distance, and of what may arrive within the window.
     """
-    used, at, tag, lasers = 0, walk.at, walk.tag, room.lasers
-    for pair in range(at[0], len(pairs)):
-        i, p, row = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2]
+    used, at, lasers, points = 0, walk.at, room.lasers, len(pool.part) // len(pool.cluster)
+    for number in range(at[0], len(pairs)):
+        i, p, row = pairs[number, 0], pairs[number, 1], pairs[number, 2]
         k1 = lasers.part[i]
         if k1 < 0 or room.power[i] <= 0.0 or pool.cluster[p, 0, 9] <= 0.0:
             continue
         brdf = brdf_of(room.kind, room.values, k1)
         lit = End(get(lasers.position, i, 0), get(lasers.normal, i, 0), get(lasers.to_laser, i, 0), brdf)
-        ends = Pair(lit, lasers.leg[i] if room.device else 0.0, room.power[i], p)
+        pair = Pair(lasers.leg[i] if room.device else 0.0, room.power[i], p, p * points + replicate)
         if at[1] == 0 and at[2] == 0:
             walk.state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
-            walk.state[0] = (walk.state[0] << np.uint64(32)) | mix(walk.state[0], np.uint64(pair))
+            walk.state[0] = (walk.state[0] << np.uint64(32)) | mix(walk.state[0], np.uint64(number))
             for d in range(len(STEPS)):
                 walk.numbers[d] = _random(walk.state)
         for k in range(at[1], len(room.tree.roots)):
@@ -379,42 +394,20 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 continue
             surface = Surface(brdf_of(room.kind, room.values, k), room.outer[k], room.peak[k], room.lobe[k])
             if top == 0:
-                push(tag, 0, BOX, room.tree.roots[k], 0, 0, len(pool.part) // (2 * len(pool.cluster)))
+                push(walk.tag, 0, Waiting.BOX, room.tree.roots[k], 0, 0, points // 2)
                 top = 1
             while top > 0:
                 top -= 1
                 enough, error = (asked.delta[k], asked.error[k]) if at[3] < most else (COARSE, COARSE)
-                seen = cluster_of(room, pool, p, tag[top, 2], ends.power)
-                if tag[top, 0] == BOX:
-                    light = light_of_box(
-                        room.tree, tag[top, 1], surface, lit, seen, room.values, room.air, room.plane
-                    )
-                    if light < 0.0:
-                        continue
-                    legs = ends.leg + (pool.leg[seen.one] if room.device else 0.0)
-                    inside, guessed = box_may_arrive(room.tree, tag[top, 1], legs, room, lit, seen), seen.gain * light
-                    # What is near is cut wherever its light arrives.
-                    if light == np.inf or (inside and guessed > enough):
-                        top = open_box(walk, top, room, surface, lit, seen)
-                        continue
-                    piece = Piece(SAMPLE, 0.0, 0.0, 1.0, 0.0, 0.0, inside, 0.0)
-                else:
-                    n = get(room.tree.normal, tag[top, 1], 0)
-                    piece = judged(
-                        walk, top, n, enough, error, asked.straight, ends.leg, pool.leg[seen.one], room,
-                        surface, lit, seen
-                    )  # fmt: skip
-                    if piece.verdict == CLUSTER_FIRST:
-                        top = open_cluster(walk, top, n, room, pool, p, ends.power, surface, lit)
-                    elif piece.verdict == HALVES:
-                        share = 0.5 + UNEVEN * (_random(walk.state) - 0.5)
-                        top = halve(walk, top, share, n, room, surface, lit, seen)
-                    if piece.verdict != SAMPLE:
-                        continue
-                    guessed = seen.gain * piece.area * piece.most
+                seen = cluster_of(room, pool, p, walk.tag[top, 2], pair.power)
+                way = Way(surface, lit, seen, room.values, room.air, room.plane)
+                piece, top = _cut(walk, top, enough, error, asked.straight, room, pool, pair, way)
+                if piece.verdict != Verdict.SAMPLE:
+                    continue
                 if used == len(batch.row):
-                    at[0], at[1], at[2] = pair, k, top + 1
+                    at[0], at[1], at[2] = number, k, top + 1
                     return used
+                guessed = seen.gain * piece.area * piece.most
                 expected[2] += guessed if piece.inside else 0.0
                 chance = min(max(guessed / (enough * math.sqrt(piece.width)), asked.least), 1.0)
                 if not _is_drawn(walk, chance):
@@ -422,22 +415,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 at[3] += 1
                 for d in range(len(STEPS)):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
-                if _sample(
-                    walk,
-                    top,
-                    piece,
-                    chance,
-                    replicate,
-                    asked.straight,
-                    room,
-                    pool,
-                    surface,
-                    ends,
-                    seen,
-                    expected,
-                    batch,
-                    used,
-                ):
+                if _sample(walk, top, piece, chance, asked, room, pool, pair, way, expected, batch, used):
                     batch.row[used] = asked.slot[k] * rows + row
                     used += 1
         at[1] = 0

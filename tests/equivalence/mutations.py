@@ -146,8 +146,8 @@ MUTATIONS = (
     ),
     Mutation(
         "cuts: a box divided into its first half twice", "cut_elements.py",
-        "push(tag, top + 1, BOX, tree.children[at, 1], c, q, many)",
-        "push(tag, top + 1, BOX, tree.children[at, 0], c, q, many)",
+        "push(tag, top + 1, Waiting.BOX, tree.children[at, 1], c, q, many)",
+        "push(tag, top + 1, Waiting.BOX, tree.children[at, 0], c, q, many)",
         PHYSICS + "test_primary_laws.py::test_finer_triangles_and_another_order_are_the_same_surface",
     ),
     Mutation(
