@@ -22,11 +22,13 @@ LEVELS = 2
 SPANS = (24.0, 8.0, 2.0)
 """Span of an element's times, bins, below which its light is spread over a cluster by halves, quarters and eighths of
 a bin: by whole bins rooms erred by 1.2 to 1.6 times as much."""
-TIE, TIED = 1e-4, 0.05
-"""Corners of a part need times of their own, by which is divided: the second corner of a triangle becomes later and
-the third one earlier, each by half of this share of the span of all times, or of so many bins if that is more."""
-APART = 1e-12
-"""Bins that are divided by where times are the same in spite of that: far fewer than any that count."""
+TIE = 1e-4
+"""Share of the span of a triangle's times by half of which its second corner becomes later and its third one earlier,
+as corners need times of their own, whose differences are divided by."""
+TIED = 0.05
+"""The same in steps, at least: little beside a step, and far more than rounding."""
+LEAST_GAP = 1e-12
+"""Steps that are divided by where times are the same in spite of that: far fewer than any that count."""
 
 
 def _division() -> tuple[tuple[int, ...], Floats, Ints, Ints, Floats]:
@@ -107,7 +109,7 @@ def _set_knots(level, at, time, square, cube):  # type: ignore[no-untyped-def]
     for part in range(1 << 2 * level):
         a, b, c = PARTS[level, part, 0], PARTS[level, part, 1], PARTS[level, part, 2]
         u, v, w = time[a] - time[b], time[b] - time[c], time[c] - time[a]
-        u, v, w = u if u != 0.0 else APART, v if v != 0.0 else APART, w if w != 0.0 else APART
+        u, v, w = u if u != 0.0 else LEAST_GAP, v if v != 0.0 else LEAST_GAP, w if w != 0.0 else LEAST_GAP
         of_all = 1.0 / (u * v * w)
         u, v, w = v * w * of_all, w * u * of_all, u * v * of_all
         of_a, of_b, of_c, at_a, at_b, at_c = -u * w, -u * v, -v * w, at[a], at[b], at[c]
@@ -168,7 +170,7 @@ def _box(width, tilt):  # type: ignore[no-untyped-def]
     m = int(0.5 * (math.sqrt(1.0 + square) - 1.0))
     end = (2.0 * m + 1.0) * (square - 4.0 * m * (m + 1.0)) / (24.0 * (m + 1.0) ** 2 - 2.0 * square)
     most = 1.0 / (m + 1.0)
-    tilt = max(min(tilt / max(width, APART), most), -most)
+    tilt = max(min(tilt / max(width, LEAST_GAP), most), -most)
     lean = (m + 1) * tilt * end
     return Box(m, tilt, end - lean, end + lean, 2.0 * m + 1.0 + 2.0 * end)
 

@@ -14,11 +14,14 @@ from datagen.compiled import compiled
 from datagen.records import Scene
 from datagen.records.arrays import Floats, Ints
 
-LEAF, BINS, DEEPEST = 3, 12, 64
-"""Most triangles of a box that is not divided; bins along a box's longest side, between which it is divided; and
-level from which on boxes are divided by the number of their triangles alone, because stacks of loops over the tree
-have room for about twice this level. With halves along a space-filling curve, rooms take 1.15 to 1.34 times as long.
-"""
+LEAF = 3
+"""Most triangles of a box that is not divided: fewer would make more boxes for the same triangles."""
+BINS = 12
+"""Bins along a box's longest side, between which it is divided: with halves along a space-filling curve instead,
+rooms take 1.15 to 1.34 times as long."""
+DEEPEST = 64
+"""Level from which on boxes are divided by the number of their triangles alone, because stacks of loops over the tree
+have room for about twice this level."""
 CLUSTER = 4
 """Triangles up to which a box is opened whatever its light, so that each triangle is a piece of its own, whose light
 cuts spread over the arrival times of its corners. It is at least `LEAF`, as a leaf has no boxes within."""
@@ -131,7 +134,7 @@ def _divide(low, high, order, box, link, spare, members, bounds, cost):  # type:
             # One sweep over the bins adds the cost of the lower halves, the other that of the upper ones.
             cost[:] = 0.0
             for step in (1, -1):
-                _swept(members, bounds, cost, step)
+                _add_costs(members, bounds, cost, step)
             best = 1
             for m in range(2, BINS):
                 if cost[m] < cost[best]:
@@ -172,7 +175,7 @@ def _bin(low, high, f, axis, smallest, largest):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _swept(members, bounds, cost, step):  # type: ignore[no-untyped-def]
+def _add_costs(members, bounds, cost, step):  # type: ignore[no-untyped-def]
     """Add to `cost` (BINS,), for the cut below each bin, the number of triangles times the area of the box about them
     on one side of the cut: the lower side for step 1, the upper side for step −1.
 

@@ -23,9 +23,12 @@ from datagen.records.arrays import Floats, Ints, rows_of
 from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 
-PLANE, APART = 1e-6, 1e-7
-"""Distance between two planes up to which they count as one, and depth of an overlap in the plane up to which
-triangles only touch; both relative to the scene's largest side. Rays of single precision confuse such planes."""
+PLANE = 1e-6
+"""Distance between two planes, relative to the scene's largest side, up to which they count as one, because rays of
+single precision confuse them."""
+APART = 1e-7
+"""Depth of an overlap in a plane, relative to the scene's largest side, up to which triangles only touch: about the
+rounding error of coordinates in single precision."""
 LIFT = 3.0
 """Distance by which a part is lifted off the one that it lies on, in units of `Raycaster.offset_m`, 30 µm in a room
 of 10 m: more than the ends of shadow rays are lifted, so that the part below is hidden."""
@@ -97,7 +100,7 @@ def set_apart(scene: Scene, capture: Capture) -> Apart:
     sources = _sources(caster, capture)
     shared.sort(key=lambda plane: sorted((rank(plane.one), rank(plane.two)), reverse=True))
     # Each plane has rays to and from 16 places, and each place 16 rays.
-    lit = [_lit(caster, shared[some], sources) for some in in_calls(len(shared), 8192)]
+    lit = [_count_lit(caster, shared[some], sources) for some in in_calls(len(shared), 8192)]
     vertices, triangles = scene.vertices, np.array(scene.triangles)
     # How often a triangle was lifted: what lies on something that lies on a third thing is lifted twice.
     level = np.zeros(len(triangles), np.int64)
@@ -143,7 +146,7 @@ def _sources(caster: Raycaster, capture: Capture) -> Floats:
     return np.concatenate([lifted, capture.laser.position[None], capture.sensor.position[None]])
 
 
-def _lit(caster: Raycaster, shared: list[Shared], sources: Floats) -> Ints:
+def _count_lit(caster: Raycaster, shared: list[Shared], sources: Floats) -> Ints:
     """(plane, side) how many lines lead from shared planes to the sources of light, directly or by one surface in
     between; the first side is that of the plane's normal."""
     some = [of.places[np.linspace(0, len(of.places) - 1, min(len(of.places), LOOKS)).astype(int)] for of in shared]

@@ -42,18 +42,18 @@ COARSEST_CLUSTER = 0.7
 """The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
-EVEN, CURVED = 0.05, 0.04
-"""Square of an element's size over its distance up to which its weights count as linear, and bend of its arrival
-times, relative to their span, that its parts have at most before it is halved: both for an element of as much light
-as its histogram may err by, and less in proportion for one of more. Replicates cannot see what is wrong with shapes:
-0.2 % where 2 % are asked. A needle of two triangles erred by 3.2 % where bends were not halved, and rooms by half as
-much again for the same time."""
+EVEN = 0.05
+"""Square of an element's size over its distance up to which its weights count as linear, for an element of as much
+light as its histogram may err by, and less in proportion for one of more: replicates cannot see what is wrong with
+shapes, which is 0.2 % where 2 % are asked."""
+CURVED = 0.04
+"""Bend of the arrival times over the smallest parts of an element, relative to their span, from which on it is
+halved, for the same element: without, a needle of two triangles erred by 3.2 %, and rooms by half as much again for
+the same time."""
 BACK = 0.02
 """What the light on the inner side of a closed mesh is taken for: almost always none, but a device may be inside."""
 BLACK = 1e-3
 """BRDF that a cluster of FoV points is taken for at least, as its points may be of several materials, 1/sr."""
-COARSE = 1e300
-"""A δ with which only what is near is cut."""
 STACK = 4096
 """Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 

@@ -14,7 +14,6 @@ from datagen.transport.arrival_times import BETWEEN, CORNERS, LEVELS, MEETING, P
 from datagen.transport.brdf import Vector, dot
 from datagen.transport.bvh import triangle_by_area
 from datagen.transport.cut_elements import (
-    COARSE,
     COARSEST_CLUSTER,
     Surface,
     Verdict,
@@ -398,7 +397,8 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 top = 1
             while top > 0:
                 top -= 1
-                enough, error = (asked.delta[k], asked.error[k]) if at[3] < most else (COARSE, COARSE)
+                # With an infinite δ only what is near is cut.
+                enough, error = (asked.delta[k], asked.error[k]) if at[3] < most else (np.inf, np.inf)
                 seen = cluster_of(room, pool, p, walk.tag[top, 2], pair.power)
                 way = Way(surface, lit, seen, room.values, room.air, room.plane)
                 piece, top = _cut(walk, top, enough, error, asked.straight, room, pool, pair, way)

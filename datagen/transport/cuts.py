@@ -26,7 +26,7 @@ from datagen.seeding import LightStream
 from datagen.transport.arrival_times import Work
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
-from datagen.transport.cut_elements import COARSE, Room, Walk
+from datagen.transport.cut_elements import Room, Walk
 from datagen.transport.cut_steps import Asked, Batch, emit, legs_of, pour_all, widest
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
@@ -188,7 +188,7 @@ class Cuts:
         self.groups = np.where(self.of_objects, np.cumsum(self.of_objects) - 1, self.of_objects.sum())
         self.most, self.expected = int(MOST * max(1.0, FINE / target) ** 2), np.zeros(3)
         self.straight = STRAIGHT * target
-        self.is_limited, self.error = False, np.full(self.groups.max() + 1, COARSE)
+        self.is_limited, self.error = False, np.full(self.groups.max() + 1, np.inf)
         self.memory = np.zeros(0)
         self.widest, self.work = 0.0, Work.of(axis.bins, 0.0)
         self.batch, self.every = Batch.of(SAMPLES), np.arange(SAMPLES)
@@ -517,7 +517,7 @@ def _spread(cuts: Cuts, count: int, most: int, *numbers: int) -> Ints:
 
 def _look(cuts: Cuts, which: Ints, times: int, most: int, number: int) -> _Seen:
     """What some runs tell of a few elements of some histograms, with up to so many of their laser points."""
-    coarse, runs = np.full(cuts.groups.max() + 1, COARSE), list[Run]()
+    coarse, runs = np.full(cuts.groups.max() + 1, np.inf), list[Run]()
     for turn in range(number, number + times):
         points = _spread(cuts, cuts.points, most, turn)
         runs.append(cuts.run(which, coarse, turn, points))

@@ -22,11 +22,12 @@ COARSE = 3e-3
 third of it the light between plates of 2 m that are 1 mm apart is still right to 0.2 %. On a bench it is 1 cm: twice
 as much doubles the light of a plate of 2 cm, and seventy times as much adds a third to all light."""
 ACROSS = (0.05, 0.5, 0.95)
-PLACES = np.array([((1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v) for u in ACROSS for v in ACROSS])
-"""Places of a pixel at which it is asked what it sees, as weights of its corners (9, 4): near its edges, and its
-middle."""
-LOOKED_FROM, LEGS = 16, 64
-"""Most laser points whose legs are measured, and rays from each."""
+"""Places of a pixel at which it is asked what it sees, as shares of the way along either side: near its edges, as
+walls end there, and its middle."""
+LOOKED_FROM = 16
+"""Most laser points whose legs are measured: more cost rays, and a few may all lie beside an edge."""
+LEGS = 64
+"""Rays from each of these laser points: the share of legs that are shorter than one is known to 6 % at worst."""
 QUARTILE = 0.75
 """Share of the legs that are shorter than the one that counts: a laser point beside an edge, from which half of the
 rays go no further than the wall next to it, is not in a large scene."""
@@ -60,7 +61,8 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
             )
             return
     # A pixel whose middle looks past an edge may see light beside it.
-    looks = np.einsum("wc,pck->pwk", PLACES, capture.sensor.pixels).reshape(-1, 3) - capture.sensor.position
+    places_of = np.array([((1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v) for u in ACROSS for v in ACROSS])
+    looks = np.einsum("wc,pck->pwk", places_of, capture.sensor.pixels).reshape(-1, 3) - capture.sensor.position
     met = caster.closest(capture.sensor.position, looks)
     looked_at = {*points.part.tolist(), *scene.face_part[met.face[met.valid]].tolist()}
     # A bare wall is dark on purpose.

@@ -27,16 +27,19 @@ REPLICATES = 8
 """Independent replicates, from which errors are known to a fifth."""
 WIDTHS = np.array([1, 3, 5, 9, 17])
 """Widths of boxes, in bins."""
-WINDOW, WINDOW_BINS = 600, (12, 64)
-"""Values whose boxes have one width: histograms of a group times bins; and fewest and most of these bins."""
+WINDOW = 600
+"""Values whose boxes have one width, histograms of a group times bins: of fewer the noise decides the width."""
+WINDOW_BINS = 12, 64
+"""Fewest and most bins whose boxes have one width, as shapes change along the window."""
 GROWTH = 64
 """Most blocks of a run, in units of those of the pilot: bounds the time of a scene whose light is not found."""
 AIM = 0.8
 """Squared error that a run aims at, relative to the one asked: boxes become narrower as noise falls, so errors fall
 more slowly than with 1/√n."""
-OWN, SHARE = 0.2, 0.3
-"""Error of a component relative to its own light up to which more effort is spent on it, unless that error is less
-than `SHARE` of the whole error asked."""
+OWN = 0.2
+"""Error of a component, relative to its own light, down to which effort is spent on it."""
+SHARE = 0.3
+"""Error of a component, relative to the whole error asked, below which no more effort is spent on it."""
 ROUGH = 0.1
 """Error of a pilot's energy from which on the pilot does not count: what remains is off by tenths of a per cent."""
 
@@ -235,7 +238,7 @@ def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Flo
     error2 = float(np.mean([of_noise for of_noise, _ in judged]) + max(np.mean([blur for _, blur in judged]), 0.0))
     if error2 >= variance.sum():
         return plain, float(variance.sum()), variance
-    return _blurred(plain, WIDTHS[best[2]], window), error2, variance
+    return _spread_over_boxes(plain, WIDTHS[best[2]], window), error2, variance
 
 
 @compiled()
@@ -294,7 +297,7 @@ def _judge(each, widths, window, noise, bias):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _blurred(light, widths, window):  # type: ignore[no-untyped-def]
+def _spread_over_boxes(light, widths, window):  # type: ignore[no-untyped-def]
     """Light (H, T) spread over boxes, whose widths are given by window of bins."""
     H, T = light.shape
     out, box, running = np.empty((H, T)), np.empty(T), np.empty(T + 1)

@@ -197,9 +197,9 @@ def _set_lines_of_sight(uv: Floats, corner: Floats, direction: Floats, jacobian:
         for q in range(uv.shape[1]):
             u, v = uv[p, q, 0], uv[p, q, 1]
             # The point w(u, v) between the four corners, and its derivatives along u and v.
-            x, xu, xv = between(corner, p, 0, u, v)
-            y, yu, yv = between(corner, p, 1, u, v)
-            z, zu, zv = between(corner, p, 2, u, v)
+            x, xu, xv = place_and_slopes(corner, p, 0, u, v)
+            y, yu, yv = place_and_slopes(corner, p, 1, u, v)
+            z, zu, zv = place_and_slopes(corner, p, 2, u, v)
             square = x * x + y * y + z * z
             length = math.sqrt(square)
             # J = |w · (∂w/∂u × ∂w/∂v)| / |w|³: the area of the quadrilateral for each unit of uv, seen from the
@@ -210,8 +210,8 @@ def _set_lines_of_sight(uv: Floats, corner: Floats, direction: Floats, jacobian:
 
 
 @compiled(allocates=False)
-def between(corner: Floats, p: int, k: int, u: float, v: float) -> tuple[float, float, float]:
-    """Coordinate k of the point (u, v) between the four corners of pixel p, and its derivatives along u and v."""
+def place_and_slopes(corner: Floats, p: int, k: int, u: float, v: float) -> tuple[float, float, float]:
+    """Coordinate k of the place (u, v) of the quadrilateral of pixel p, and its derivatives along u and v."""
     a, b, c, d = corner[p, 0, k], corner[p, 1, k], corner[p, 2, k], corner[p, 3, k]
     place = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * d + u * c)
     return place, (1 - v) * (b - a) + v * (c - d), (1 - u) * (d - a) + u * (c - b)

@@ -10,7 +10,7 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.fields_of_view import FovPool, between, fov_points
+from datagen.transport.fields_of_view import FovPool, fov_points, place_and_slopes
 from datagen.transport.geometry import get
 from datagen.transport.problem import Problem
 
@@ -23,9 +23,6 @@ SAGITTA = 0.1
 FLAT = 1e-6
 """Sine of the angle between normals, and thickness in metres, up to which points lie on one flat surface."""
 
-NUMBERS = 18
-"""Numbers that describe a cluster: see `FovClusters`."""
-
 
 class FovClusters(NamedTuple):
     """FoV points of P pixels, a pair for each of M squares, and C clusters of squares.
@@ -37,8 +34,9 @@ class FovClusters(NamedTuple):
     cluster : (P, C, 18) the pixel first, then the four quarters of cluster c at 4 c + 1 …: middle (0 … 2) and mean
         normal (3 … 5) of the points; radius (6), m; sine of the largest angle of a normal with the mean, 2 beyond
         a right angle (7); largest distance from the plane through the middle (8), m; weight of one replicate (9), m²
-        sr, 0 if no point is valid; index of a valid point (10). If the pixel is flat: the two sides of the cluster
-        (11 … 16), m, and the distance of its middle to the sensor (17), m; else zeros.
+        sr, 0 if no point is valid; index of a valid point (10). If all points of the pixel lie on one flat surface:
+        the two sides of the cluster (11 … 16), m, and the distance of its middle to the sensor (17), m; else zeros,
+        but for −1 as the distance of a pixel whose points are on one flat surface or on none.
     """
 
     position: Floats
@@ -74,7 +72,7 @@ def squares_of(problem: Problem, lobe: Floats, bin_m: float, rng: np.random.Gene
     # Times over a square of a pixel that is seen from as far as the pixel is wide.
     radius = root[:, 6] / math.sqrt(SQUARES[0])
     is_small = 0.25 * radius**2 < SAGITTA * 2.0 * root[:, 6] * bin_m
-    is_flat = (root[:, 7] < FLAT) & (root[:, 8] < FLAT)
+    is_flat = root[:, 17] != 0.0
     return np.where(is_flat & is_small & (lobe.min() >= NARROW), SQUARES[0], SQUARES[1])
 
 
@@ -103,7 +101,7 @@ def _clusters(
     uv = uv.reshape(len(pixels), 2 * squares, 2)
     found = fov_points(problem.caster, problem.scene, sensor, problem.cones, pixels, uv, squares)
     np.multiply(found.weight, np.exp(-problem.scene.attenuation_per_m * found.last_leg), out=found.weight)
-    cluster = np.zeros((len(pixels), count, NUMBERS))
+    cluster = np.zeros((len(pixels), count, 18))
     _set_clusters(found, sensor.pixels[pixels] - sensor.position, sensor.position, places, cluster)
     return found, cluster
 
@@ -123,11 +121,14 @@ def _set_clusters(found, corner, sensor, places, cluster):  # type: ignore[no-un
             first += size
             if first == points:
                 size, first = size // 4, 0
-        is_flat, q = cluster[p, 0, 7] < FLAT and cluster[p, 0, 8] < FLAT, 0
-        while is_flat and q < points:
-            is_flat = found.part[p, q] >= 0
+        if not (cluster[p, 0, 7] < FLAT and cluster[p, 0, 8] < FLAT):
+            continue
+        q = 0
+        while q < points and found.part[p, q] >= 0:
             q += 1
-        if is_flat:
+        if q < points:
+            cluster[p, 0, 17] = -1.0
+        else:
             at, n = get(found.position[p], 0, 0), get(cluster[p], 0, 3)
             height = n[0] * (at[0] - sensor[0]) + n[1] * (at[1] - sensor[1]) + n[2] * (at[2] - sensor[2])
             for c in range(cluster.shape[1]):
@@ -178,9 +179,9 @@ def _set_flat(corner, p, sensor, n, height, place, row):  # type: ignore[no-unty
     height : of the plane above the sensor along its normal, metres. place : (3,) of `_places`.
     """
     u, v, side = place[0], place[1], place[2]
-    x, xu, xv = between(corner, p, 0, u, v)
-    y, yu, yv = between(corner, p, 1, u, v)
-    z, zu, zv = between(corner, p, 2, u, v)
+    x, xu, xv = place_and_slopes(corner, p, 0, u, v)
+    y, yu, yv = place_and_slopes(corner, p, 1, u, v)
+    z, zu, zv = place_and_slopes(corner, p, 2, u, v)
     # A line of sight that turns moves its point within the plane.
     facing = x * n[0] + y * n[1] + z * n[2]
     far, turn1, turn2 = height / facing, xu * n[0] + yu * n[1] + zu * n[2], xv * n[0] + yv * n[1] + zv * n[2]

@@ -15,9 +15,11 @@ from datagen.records import Laser, OnSurfaces, Sensor
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.rays import Hits, Raycaster
 
-INWARD, INWARD_AT_LEAST_RAD = 1e-3, 2e-6
-"""How far the ray of a line of sight is moved towards its pixel's middle, so that rays at corners meet the wall that
-the pixel sees: fraction of the way there, and least angle, rad, some twenty roundings in single precision."""
+INWARD = 1e-3
+"""Share of the way to its pixel's middle by which the ray of a line of sight is moved there, so that rays at corners
+meet the wall that the pixel sees."""
+INWARD_AT_LEAST_RAD = 2e-6
+"""Least angle, rad, by which that ray is moved: some twenty roundings in single precision."""
 
 
 @dataclass(frozen=True)

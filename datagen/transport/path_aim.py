@@ -59,7 +59,7 @@ def aim_of(caster: Raycaster, scene: Scene, planes: Floats, guesses: int) -> Aim
     parts = len(scene.part_names)
     area = np.bincount(scene.face_part, caster.face_area_m2, parts)
     count = np.bincount(scene.face_part, minlength=parts)
-    drawn = _lit(caster, scene, planes) & (area > 0)
+    drawn = _may_be_lit(caster, scene, planes) & (area > 0)
     drawn = drawn if drawn.any() else area > 0
     chance = np.where(drawn, 1.0 / np.sqrt(np.where(drawn, area, 1.0)), 0.0)
     chance /= chance.sum()
@@ -102,7 +102,7 @@ def aimed_at(aim: Aim, world, x, v, size: Floats, area: Floats, radius: Floats) 
     return aim._replace(density=density, share=share)
 
 
-def _lit(caster: Raycaster, scene: Scene, planes: Floats) -> Bools:
+def _may_be_lit(caster: Raycaster, scene: Scene, planes: Floats) -> Bools:
     """(K,) whether a part may be lit: a corner of its bounding box lies before the tangent plane of a laser point."""
     boxes = np.zeros((len(scene.part_names), 2, 3))
     for part in range(len(boxes)):

@@ -235,7 +235,7 @@ def _write_shadow_ray(world, rays, k, p, n, q, m):  # type: ignore[no-untyped-de
 
 
 @compiled()
-def _scattered(values, a, w_in, w_out):  # type: ignore[no-untyped-def]
+def _brdf_and_density(values, a, w_in, w_out):  # type: ignore[no-untyped-def]
     """BRDF at vertex a, and the density with which `sample` draws `w_out` for `w_in`; both 1/sr."""
     # Both at once, as every weight needs both.
     row = values[a.part]
@@ -243,13 +243,13 @@ def _scattered(values, a, w_in, w_out):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _drawn(world, a, u, v):  # type: ignore[no-untyped-def]
+def _draw_direction(world, a, u, v):  # type: ignore[no-untyped-def]
     """A unit direction drawn by the BRDF at vertex a."""
     return sample(a.kind, world.values[a.part], a.normal, a.back, u, v)
 
 
 @compiled()
-def _met(world, face, origin, direction):  # type: ignore[no-untyped-def]
+def _meeting_point(world, face, origin, direction):  # type: ignore[no-untyped-def]
     """Where a ray meets the plane of a triangle; its normal, turned against the ray; whether the ray meets it.
 
     Only the triangle is embree's answer: the point is computed in double precision.
@@ -291,7 +291,7 @@ def _seen_within(planes, footprints, into, pixel, w):  # type: ignore[no-untyped
 
 
 @compiled()
-def begun(world, points, number, x):  # type: ignore[no-untyped-def]
+def fill_laser_points(world, points, number, x):  # type: ignore[no-untyped-def]
     """Fill x with the laser points of samples, those of `points` by number (n,), −1 for a sample without one; returns
     how many."""
     count = 0
@@ -323,7 +323,7 @@ def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore
 
 
 @compiled()
-def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
+def fill_fov_points(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
     """Fill v with the FoV points where lines of sight landed, a row for each; `power` is 0 where there is none."""
     sensor = world.sensor
     for s in range(len(faces)):
@@ -331,7 +331,7 @@ def seen(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
         face = np.int64(faces[s])
         if face >= 0:
             # The direction as embree knows it, in single precision, is the one whose triangle was found.
-            position, normal, meets = _met(world, face, sensor, get(rays.direction, s, 0))
+            position, normal, meets = _meeting_point(world, face, sensor, get(rays.direction, s, 0))
             if meets:
                 back, leg = _toward(position, sensor)
                 gain = solid[s] * _aperture(world, leg) * transmittance(world.attenuation, leg)
@@ -345,7 +345,7 @@ def rays_back(world, v, numbers, rays):  # type: ignore[no-untyped-def]
     for s in range(len(v.power)):
         if v.power[s] > 0.0:
             a = _row(world, v, s)
-            w = _drawn(world, a, numbers[s, 5], numbers[s, 6])
+            w = _draw_direction(world, a, numbers[s, 5], numbers[s, 6])
             # A lobe may reach below the surface, where the BRDF is 0.
             if dot(a.normal, w) > 0.0:
                 _write_ray(world, rays, count, s, NO_GOAL, a.position, a.normal, w)
@@ -362,7 +362,7 @@ def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
         face = np.int64(faces[k])
         if face >= 0:
             s = rays.of[k]
-            position, normal, meets = _met(world, face, get(v.position, s, 0), get(rays.direction, k, 0))
+            position, normal, meets = _meeting_point(world, face, get(v.position, s, 0), get(rays.direction, k, 0))
             if meets:
                 h.face[s] = face
                 put(h.position, s, 0, position)
@@ -391,7 +391,7 @@ def rays_to_second(world, samples, b, rays):  # type: ignore[no-untyped-def]
             w = subtract(place, _along(a.position, world.offset, a.normal))
             put(rays.place, count, 0, place)
         else:
-            w = _drawn(world, a, u, v)
+            w = _draw_direction(world, a, u, v)
         if dot(a.normal, w) > 0.0:
             _write_ray(world, rays, count, i, goal, a.position, a.normal, w)
             count += 1
@@ -410,7 +410,7 @@ def rays_onward(world, samples, x, order, rays):  # type: ignore[no-untyped-def]
         else:
             u = _independent(samples.seeds[s], samples.number[s], 3 * order + 1)
             v = _independent(samples.seeds[s], samples.number[s], 3 * order + 2)
-        w = _drawn(world, a, u, v)
+        w = _draw_direction(world, a, u, v)
         if dot(a.normal, w) > 0.0:
             _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
             count += 1
@@ -448,18 +448,18 @@ def _by_light(by_brdf, by_area, second):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _lit(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped-def]
+def _end_of_leg(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped-def]
     """f_b cosθ_b cosθ_x / R² at the end of a leg from vertex b along w, where the normal is n, and the density with
     which the way from the laser draws that end."""
     cos_b, cos_x = dot(b.normal, w), -dot(n, w)
     if cos_b <= 0.0 or cos_x <= 0.0:
         return 0.0, 0.0
-    f, by_brdf = _scattered(values, b, b.back, w)
+    f, by_brdf = _brdf_and_density(values, b, b.back, w)
     return f * cos_b * cos_x / (r * r), _by_light(by_brdf * cos_x / (r * r), by_area, second)
 
 
 @compiled()
-def arrived(world, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+def arrivals(world, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
     """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
     the row of the b of each; returns how many.
 
@@ -479,7 +479,7 @@ def arrived(world, samples, b, rays, faces, second, returning, x, of):  # type: 
         if goal >= 0:
             place, start = get(rays.place, k, 0), _along(a.position, world.offset, a.normal)
             direction = subtract(place, start)
-        y, n, meets = _met(world, face, start, direction)
+        y, n, meets = _meeting_point(world, face, start, direction)
         if goal >= 0:
             # A path counts if the ray meets this place first: all ways must draw the same paths.
             off = subtract(y, place)
@@ -487,7 +487,7 @@ def arrived(world, samples, b, rays, faces, second, returning, x, of):  # type: 
         if not meets:
             continue
         w, r = _toward(a.position, y)
-        light, density = _lit(values, a, w, r, n, _by_area(aim, part, row[s], face) if second else 0.0, second)
+        light, density = _end_of_leg(values, a, w, r, n, _by_area(aim, part, row[s], face) if second else 0.0, second)
         power = a.power * light * transmittance(world.attenuation, r)
         if density > TINY and power > 0.0:
             end = _vertex(world, face, y, n, _minus(w), power / density, density, a.path + r)
@@ -513,8 +513,8 @@ def _photons(values, x, v, solid_angle, by_area, order):  # type: ignore[no-unty
     cos_x, cos_v, square = dot(x.normal, w), -dot(v.normal, w), r * r
     if cos_x <= 0.0 or cos_v <= 0.0:
         return 0.0, r
-    f_x, onto_v = _scattered(values, x, x.back, w)
-    f_v, onto_x = _scattered(values, v, v.back, _minus(w))
+    f_x, onto_v = _brdf_and_density(values, x, x.back, w)
+    f_v, onto_x = _brdf_and_density(values, v, v.back, _minus(w))
     ways, cos_s = 1.0, dot(v.normal, v.back)
     if order > 2 and x.density > TINY:
         ways += onto_x * cos_x / (square * x.density)
@@ -585,7 +585,7 @@ def one_bounce(world, samples, x, found, rays):  # type: ignore[no-untyped-def]
         cosine = dot(a.normal, w)
         seen = _seen_within(planes, footprints, into, pixel[s], _minus(w)) if cosine > 0.0 else 0.0
         if seen > 0.0:
-            f, _ = _scattered(values, a, a.back, w)
+            f, _ = _brdf_and_density(values, a, a.back, w)
             photons = a.power * f * cosine * seen * transmittance(world.attenuation, leg)
             photons *= _aperture(world, leg) / (leg * leg)
             _write_path(found, count, s, a.part, a.path + leg * world.from_source, photons)

@@ -88,7 +88,7 @@ class _Batch:
             a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
             u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
             points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
-        return head(self.room.turn[2], steps.begun(self.world, points, number, self.room.turn[2]))
+        return head(self.room.turn[2], steps.fill_laser_points(self.world, points, number, self.room.turn[2]))
 
     def beside(self, v: Vertices) -> Vertices:
         """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
@@ -97,12 +97,12 @@ class _Batch:
         steps.seen_from(self.world, v, rays, self.met(rays), self.room.beside)
         return self.room.beside
 
-    def arrived(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
+    def arrivals(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
         """The vertices that vertices b, the last before the FoV point of paths of `order`, light along the first
         `count` rays, and the row of the b of each."""
         rays, x = head(self.room.rays, count), self.room.back if returning else self.room.turn[(order + 1) % 3]
         faces, of = self.met(rays), self.room.of
-        count = steps.arrived(self.world, self.samples, b, rays, faces, order == 2, returning, x, of)
+        count = steps.arrivals(self.world, self.samples, b, rays, faces, order == 2, returning, x, of)
         return head(x, count), of[:count]
 
     def join(self, x: Vertices, v: Vertices, order: int) -> int:
@@ -114,7 +114,7 @@ class _Batch:
         """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
         count = steps.toward(self.world, b, h, self.room.rays)
         # h was found by a ray from v, so that nothing stands between.
-        return head(self.room.found, self.join(self.arrived(b, count, order - 1, True)[0], v, order))
+        return head(self.room.found, self.join(self.arrivals(b, count, order - 1, True)[0], v, order))
 
     def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
         """The next vertices that the vertices x of `order` light, and the row of the x of each."""
@@ -122,7 +122,7 @@ class _Batch:
             count = steps.rays_to_second(self.world, self.samples, x, self.room.rays)
         else:
             count = steps.rays_onward(self.world, self.samples, x, order, self.room.rays)
-        return self.arrived(x, count, order, False)
+        return self.arrivals(x, count, order, False)
 
     def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
         """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
@@ -218,7 +218,7 @@ class Tracer:
         rays, v, solid = head(self.room.rays, len(pixel)), head(self.room.fov, len(pixel)), np.empty(len(pixel))
         steps.lines_of_sight(self.world, self.corners, pixel, numbers, rays, solid)
         faces = self.caster.closest_scaled(rays.origin, rays.direction)
-        steps.seen(self.world, rays, faces, solid, v)
+        steps.fill_fov_points(self.world, rays, faces, solid, v)
         return v
 
     def world_of(self, scene: Scene, materials: MaterialTable) -> World:

@@ -18,10 +18,11 @@ from datagen.records.arrays import Floats, Ints
 
 BITS = 32
 """Bits of a point's coordinates, and of the index of a point: a sequence has 2³² points."""
-ROULETTE_FROM, SURVIVAL = 4, (0.05, 0.95)
-"""Bounces from which Russian roulette may end paths of all orders, as those before bring most of the light; and least
-and greatest chance of a path to survive a bounce: the least bounds the growth of its weight (20-fold), the greatest
-makes every path end."""
+ROULETTE_FROM = 4
+"""Bounces from which on Russian roulette may end paths of all orders, as those before bring most of the light."""
+SURVIVAL = 0.05, 0.95
+"""Least and greatest chance of a path to survive a bounce: the least bounds the growth of its weight (20-fold), the
+greatest makes every path end."""
 
 _JOE_KUO = (
     (1, 0, (1,)),

@@ -184,16 +184,16 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
         # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
         primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)), beside)
     if primary is None:
-        return _joined(problem, first, None, _sampled(problem, components, first, 0.0))
+        return _estimate_of(problem, first, None, _sampled(problem, components, first, 0.0))
     own, so_far = primary.total, primary.total + first
     found = _sampled(problem, others, so_far, primary.error)
     norm = l2_norm(sum(found.found.light.values(), start=so_far))
     if is_enough(primary.error, l2_norm(own), norm, accuracy.target):
-        return _joined(problem, first, primary, found)
+        return _estimate_of(problem, first, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
     rest = sum(found.found.light.values(), start=np.zeros_like(own)) + first
     again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
-    return _joined(
+    return _estimate_of(
         problem, first, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found))
     )
 
@@ -239,7 +239,7 @@ class _Samples(NamedTuple):
     found: Sampled
 
 
-def _joined(problem: Problem, first: Floats, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
+def _estimate_of(problem: Problem, first: Floats, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
     """One estimate from the primary by cuts, if there is one, and the sampled components, beside the known light
     `first` (H, T)."""
     shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target

@@ -65,7 +65,7 @@ class MaterialTable:
 
         Raises `InputError` for a material that the transport does not know.
         """
-        described = [_described(material) for material in materials]
+        described = [_kind_and_row(material) for material in materials]
         values = np.zeros((len(described), max([NARROWEST_ROW, *(len(row) for _, row in described)])))
         for place, (_, row) in zip(values, described, strict=True):
             place[: len(row)] = row
@@ -91,7 +91,7 @@ def _kind_of(material: Material) -> int:
     raise InputError(f"material {type(material).__name__}: the transport knows {known}")
 
 
-def _described(material: Material) -> tuple[int, tuple[float, ...]]:
+def _kind_and_row(material: Material) -> tuple[int, tuple[float, ...]]:
     """Kind and row of a material; the docstring of each model's file gives the order of its row."""
     kind = _kind_of(material)
     numbers = MODELS[kind].row(material)
