@@ -33,6 +33,7 @@ from datagen.records.arrays import Floats
 from datagen.records.label_fields import LABEL_FIELDS
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
+from datagen.store.schema import check_one_frame
 from datagen.transport.coincidence import set_apart
 from datagen.transport.lines_of_sight import lit_points, seen_points
 from datagen.transport.rays import Raycaster
@@ -139,6 +140,7 @@ class Setup:
         seconds: dict[str, float] | None = None,
     ) -> Setup:  # fmt: skip
         """The setup of scene `index`, with the configured detector. seconds : those of earlier stages."""
+        check_one_frame(config)
         seconds = dict[str, float]() if seconds is None else seconds
         with _timed(seconds, "effects"):
             apart = set_apart(scene, capture)

@@ -24,6 +24,7 @@ class Purpose(IntEnum):
     EFFECTS = 8
     BACKGROUND = 9
     LOADER_BACKGROUND = 10
+    MOTION = 11
 
 
 class LightStream(IntEnum):

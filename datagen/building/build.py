@@ -30,6 +30,7 @@ from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
+from datagen.store.schema import check_one_frame
 from datagen.store.summaries import missed_lines, placed_anew_lines
 
 NOISY = 0.2
@@ -262,6 +263,8 @@ def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
 
 def _check_arguments(config: object, path: object, scene_seconds: float | None, engine: str) -> None:
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
+    assert isinstance(config, DatasetConfig)
+    check_one_frame(config)
     if not isinstance(path, Bucket):
         check_path("path", path, "name the folder to make")
     if str(path) == "":

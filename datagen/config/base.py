@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
 import pydantic
-from pydantic import BaseModel, ConfigDict, ValidationInfo, model_validator
+from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationInfo, model_validator
 
 from datagen.errors import InputError, shown
 
@@ -64,6 +64,14 @@ class Settings(BaseModel):
         for other in others:
             if key in changed and other in changed:
                 raise ValueError(f"{key} and {other} are both given, and only one of them can hold; leave one out")
+
+
+def without_unset(settings: Settings, plain: SerializerFunctionWrapHandler, *keys: str) -> dict[str, Any]:
+    """The plain values of settings without those of `keys` that are None. Keys that datasets of format 1 lack are
+    left out of their settings where they are not set, so that these settings, and the fingerprint, stay as they
+    were."""
+    values: dict[str, Any] = plain(settings)
+    return {key: value for key, value in values.items() if key not in keys or value is not None}
 
 
 def from_plain(model: type[Model], values: Any, source: str, base_directory: str | Path, **context: Any) -> Model:

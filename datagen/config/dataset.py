@@ -9,20 +9,23 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer
 
-from datagen.config.base import Settings, from_plain
+from datagen.config.base import Settings, from_plain, without_unset
 from datagen.config.capture import CaptureConfig, TimeConfig
-from datagen.config.detector import DetectorConfig
+from datagen.config.detector import USUAL_REPETITION_RATE_HZ, DetectorConfig
 from datagen.config.distributions import support
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
+from datagen.config.scans import GridScan
 from datagen.config.scene import SceneConfig
+from datagen.config.sequence import SequenceConfig
 from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
 from datagen.config.transport import TransportConfig
 from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
+from datagen.records import Clock
 from datagen.records.checks import as_given, check_path
 from scene_library.materials import checked_wavelength_nm
 
@@ -54,6 +57,13 @@ class DatasetConfig(Settings):
     labels: LabelsConfig = LabelsConfig()
     store: StoreConfig = StoreConfig()
     splits: SplitsConfig = SplitsConfig()
+    sequence: SequenceConfig | None = None
+    """Each scene is a sequence of frames, in which objects with a `motion` move. Left out: scenes stand, and are
+    measured once."""
+
+    @model_serializer(mode="wrap")
+    def _plain(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return without_unset(self, plain, "sequence")
 
     @field_validator("license")
     @classmethod
@@ -108,6 +118,53 @@ class DatasetConfig(Settings):
                 raise ValueError(f"detector.repetition_rate_mhz = {drawn} with capture.time: {beyond}")
         if any(rule.classes for rule in self.splits.held_out):
             self.splits.check_classes(self.scene.object_classes())
+        self._check_sequence()
+
+    def _check_sequence(self) -> None:
+        if self.sequence is None:
+            for i, item in enumerate(self.scene.contents):
+                if item.motion is not None:
+                    raise ValueError(
+                        f"scene.contents[{i}].motion without sequence, which says how many frames there are and "
+                        "when: give sequence, such as {frames: 16, rate_hz: 10}, or leave motion out"
+                    )
+            return
+        scan, order = self.capture.scan, self.sequence.order
+        if order in ("serpentine", "interleaved") and not isinstance(scan, GridScan):
+            raise ValueError(
+                f"sequence.order = {order!r} with capture.scan.kind = {scan.kind!r}, which has no rows: take raster, "
+                "or a grid"
+            )
+        self._check_exposures(self.sequence)
+
+    def _check_exposures(self, sequence: SequenceConfig) -> None:
+        """Raise `ValueError` if the longest exposures of all laser points do not fit into a frame. Where the
+        exposure, or the rate of pulses, is only drawn or found later, that is checked then."""
+        own, axis = self.detector.repetition_rate_mhz, self.capture.time.axis()
+        if self.detector.exposure_for is not None or (own is None and self.detector.detector_class is not None):
+            return
+        usual = min(USUAL_REPETITION_RATE_HZ, 1.0 / (axis.bins * axis.width_s))
+        rate_hz = usual if own is None else support(own)[0] * 1e6
+        try:
+            Clock(1, sequence.rate_hz, sequence.order, self._scan_columns).times(
+                self.capture.shape[0], support(self.detector.cycles)[1] / rate_hz, rate_hz
+            )
+        except InputError as error:
+            message = str(error).replace("Clock.", "sequence.").replace(" fits for each", " of detector.cycles fit")
+            raise ValueError(message) from None
+
+    @property
+    def _scan_columns(self) -> int | None:
+        """Laser points in a row of the scan; None for a flood, whose points are measured as one, and for others
+        without rows."""
+        scan = self.capture.scan
+        return scan.columns if isinstance(scan, GridScan) and self.capture.illumination == "scan" else None
+
+    @property
+    def clock(self) -> Clock | None:
+        """When frames and laser points are measured; None without `sequence`."""
+        of = self.sequence
+        return None if of is None else Clock(of.frames, of.rate_hz, of.order, self._scan_columns)
 
     @property
     def histogram_shape(self) -> tuple[int, int, int]:

@@ -13,6 +13,9 @@ from datagen.config.tdc_edges import MeasuredEdges
 
 DetectorClass = Literal["lab_si", "si_array", "ingaas", "consumer_dtof", "any"]
 
+USUAL_REPETITION_RATE_HZ = 10e6
+"""Laser pulses in a second where neither the configuration nor a class of detectors says it."""
+
 
 class GateConfig(Settings):
     """The detector is on only within a gate; times on the histogram's time axis."""

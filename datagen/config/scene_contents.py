@@ -6,13 +6,22 @@ import hashlib
 import os
 import re
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 
-from datagen.config.base import check_known, folder_of, is_stored
+from datagen.config.base import check_known, folder_of, is_stored, without_unset
 from datagen.config.distributions import Count, Distribution, Fraction, Length, NotNegative, Uniform, within
 from datagen.config.scene_materials import SurfaceMaterial
+from datagen.config.scene_motion import Motion, Points, Walk
 from datagen.untrusted import content_of, why_no_file
 from scene_library.meshes import SUFFIXES, upward_axis
 from scene_library.objects.classes import CLASSES, GROUPS, classes_of
@@ -65,6 +74,9 @@ class Item(SurfaceMaterial):
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
     they have it, which makes near, large and bright objects more frequent. Left out: no limit."""
+    motion: Motion | None = None
+    """How each of these objects moves while the frames of `sequence` are measured; what is said of its place and
+    rotation, and of what must be seen, then holds at the beginning. Left out: it stands."""
 
     sizes: ClassVar[tuple[str, ...]] = ()
     """Names of the keys that set the object's size, in the order they are drawn."""
@@ -75,6 +87,13 @@ class Item(SurfaceMaterial):
             raise ValueError(f"name = {self.name!r}: is a part of the room; choose another")
         self._only_one_of("along", "distance_m")
         self._only_one_of("across", "offset_m")
+        given = [key for key in ("along", "across", "distance_m", "offset_m") if key in self.changed()]
+        if isinstance(self.motion, Points) and given:
+            raise ValueError(f"{given[0]} beside motion of kind points, whose points say where it is: leave it out")
+
+    @model_serializer(mode="wrap")
+    def _plain(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return without_unset(self, plain, "motion")
 
     @property
     def part_name(self) -> str:
@@ -95,6 +114,14 @@ class Standing(Item):
     `rotation_deg` then follow from the wall. `hanging`: from the ceiling."""
     elevation_m: NotNegative = 0.0
     """Height of the lowest point above the floor; hanging: the gap between ceiling and highest point."""
+
+    def _check(self) -> None:
+        super()._check()
+        if self.placement == "wall" and isinstance(self.motion, Walk | Points):
+            raise ValueError(
+                f"placement = 'wall' with motion of kind {self.motion.kind}, which decides the rotation: set it to "
+                "floor"
+            )
 
 
 class Pillar(Item):

@@ -104,7 +104,7 @@ def _pilots(config: DatasetConfig, request: ExposureFor) -> Iterator[_Pilot]:
     free = without_floors(config).model_copy(update={"detector": one_cycle})
     objects = 0
     for index in range(PILOTS):
-        scene = generate_scene(free.scene, free.seed, index)
+        scene = generate_scene(free.scene, free.seed, index, clock=free.clock)
         if not scene.objects:
             continue
         capture = capture_for(free, scene, free.seed, index)

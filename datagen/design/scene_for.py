@@ -20,7 +20,8 @@ then have it."""
 def scene_for(config: DatasetConfig, index: int) -> Scene:
     """Scene `index` of the dataset of a configuration.
 
-    This is `generate_scene(config.scene, config.seed, index)` unless `contents` ask for `evidence_at_least`. Then the
+    This is `generate_scene(config.scene, config.seed, index)`, with `clock=config.clock` for a sequence, unless
+    `contents` ask for `evidence_at_least`. Then the
     objects are placed anew until a quick estimate, with the scene's capture and detector, gives each of them as much.
     The scene's parameter `evidence.placed_anew` says how often they were.
 
@@ -36,7 +37,7 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     """
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     if not config.scene.asks_for_evidence:
-        return generate_scene(config.scene, config.seed, index)
+        return generate_scene(config.scene, config.seed, index, clock=config.clock)
 
     def object_without_evidence(scene: Scene, least: Mapping[str, float]) -> str | None:
         capture = capture_for(config, scene, config.seed, index)
@@ -44,7 +45,7 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
         evidence = estimated_evidence(config, index, scene, capture, spad, exposure)
         return next((name for name in least if evidence[name].significance < MARGIN * least[name]), None)
 
-    return generate_scene(config.scene, config.seed, index, object_without_evidence)
+    return generate_scene(config.scene, config.seed, index, object_without_evidence, config.clock)
 
 
 def without_floors(config: DatasetConfig) -> DatasetConfig:

@@ -17,13 +17,15 @@ from datagen.config.scene import SceneConfig
 from datagen.config.scene_contents import Mesh, MeshFolder
 from datagen.config.scene_layouts import NoLayout
 from datagen.errors import InputError
-from datagen.records import Pose, Rectangle, Role, Scalar, Scene
+from datagen.records import Clock, Pose, Rectangle, Role, Scalar, Scene
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_kind
 from datagen.scene.draws import DrawnRoom, draw_room, load_mesh
-from datagen.scene.placing import Unmet, place
+from datagen.scene.motions import Ways, draw_paces, first_rotation, pace_parameters, path_of
+from datagen.scene.placing import Spot, Unmet, place, spot_at
 from datagen.scene.refusals import explain
 from datagen.seeding import Purpose, generator
+from scene_library.moving import Mover
 from scene_library.placement import FreeSpace
 from scene_library.rooms import FloorPlan, RoomDoesNotClose
 from scene_library.sightlines import even_points, seen_fractions
@@ -38,7 +40,9 @@ Shortfall = Callable[[Scene, Mapping[str, float]], str | None]
 """(scene, least significance of its objects by name) → an object that has less; None where all have enough."""
 
 
-def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall | None = None) -> Scene:
+def generate_scene(
+    spec: SceneConfig, seed: int, index: int, short_of: Shortfall | None = None, clock: Clock | None = None
+) -> Scene:
     """Draw scene `index` of the dataset with this `seed`.
 
     A room is drawn with all its objects, which are then placed: inside, with `clearance_m` to walls and other
@@ -46,12 +50,17 @@ def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall
     that fails the same objects are placed anew, and only after many attempts (`placings`) everything is drawn again.
     So objects that are hard to place are as frequent in the dataset as they are declared to be.
 
+    Objects with a `motion` get a path through free space (`Scene.paths`): at all times until the last frame ends they
+    keep the same distances, to each other at the same times, and stay hidden. Where no path is found, all objects are
+    placed anew.
+
     Parameters
     ----------
     spec : the section `scene` of a configuration.
     seed, index : seed of the dataset and number of the scene in it, ≥ 0; the same arguments give the same scene.
     short_of : returns an object with less evidence than `evidence_at_least`, for which all objects are placed anew;
         `dg.scene_for` passes the function that follows from capture and detector.
+    clock : frames of the sequence, which settings with a `motion` need; `config.clock`.
 
     Returns
     -------
@@ -60,7 +69,7 @@ def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall
     Raises
     ------
     InputError : after `spec.max_attempts` placings in all, naming what failed how often and what to change; settings
-        that ask for evidence, without `short_of`.
+        that ask for evidence, without `short_of`, or for a motion, without `clock`.
 
     >>> import datagen as dg
     >>> config = dg.load_config("configs/quickstart.yaml")
@@ -73,25 +82,34 @@ def generate_scene(spec: SceneConfig, seed: int, index: int, short_of: Shortfall
     check_kind("spec", spec, SceneConfig, remedy="such as load_config(path).scene")
     if isinstance(spec.layout, NoLayout):
         raise InputError(f"scene.layout.kind = {spec.layout.kind!r}: {spec.layout.why}")
+    check_kind("clock", clock, Clock, type(None), remedy="such as config.clock")
     if short_of is None:
         _check_needs_no_light(spec)
+    if clock is None:
+        _check_stands(spec)
     reasons: Counter[tuple[str, str]] = Counter()
     draws = 0
     while (left := spec.max_attempts - reasons.total()) > 0:
         try:
             room = draw_room(spec, generator(seed, index, Purpose.SCENE, draws))
             view = _View.of(room.plan)
+            paces = draw_paces(room.things, generator(seed, index, Purpose.MOTION, draws))
+            room.parameters.update(pace_parameters(paces))
+            ways = None if clock is None else Ways(room.plan, view.relay_wall, clock, paces)
         except RoomDoesNotClose as error:
             reasons["layout", str(error)] += 1
         else:
             attempts = min(left, placings(spec.max_attempts, draws))
             for number in range(attempts):
-                rng = generator(seed, index, Purpose.SCENE, draws, 1 + number)
+                # Ways have random numbers of their own: a room is the same whether its objects move or stand.
+                rng, own = (generator(seed, index, of, draws, 1 + number) for of in (Purpose.SCENE, Purpose.MOTION))
                 counts: dict[str, Scalar] = {"attempts": reasons.total() + 1, "draws": draws + 1}
                 if short_of is not None:
                     counts["evidence.placed_anew"] = sum(n for (_, what), n in reasons.items() if what == "dim")
                 try:
-                    scene = _furnished(spec, room, view, rng, counts, rotate_anew=2 * number > attempts)
+                    placed = _placed(spec, room, view, rng, rotate_anew=2 * number > attempts)
+                    movers = dict[str, Mover]() if ways is None else ways.found(room, *placed, own)
+                    scene = _furnished(spec, room, view, placed[0], movers, rng, counts)
                     if short_of is not None:
                         _check_evidence(room, short_of, scene)
                     return scene
@@ -109,6 +127,15 @@ def _check_needs_no_light(spec: SceneConfig) -> None:
             raise InputError(
                 f"scene.contents[{i}].evidence_at_least = {item.evidence_at_least:g}: what an object has depends on "
                 "capture and detector, too; use dg.scene_for(config, index)"
+            )
+
+
+def _check_stands(spec: SceneConfig) -> None:
+    for i, item in enumerate(spec.contents):
+        if item.motion is not None:
+            raise InputError(
+                f"scene.contents[{i}].motion: how far it leads depends on the frames, too; give clock = "
+                "config.clock, or use dg.scene_for(config, index)"
             )
 
 
@@ -143,22 +170,37 @@ class _View:
         return cls(fan, _visible_relay_wall(plan, fan))
 
 
-def _furnished(
-    spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, counts: dict[str, Scalar],
-    rotate_anew: bool,
-) -> Scene:  # fmt: skip
-    """The scene of a room whose objects are placed and checked. Raises `Unmet`.
+def _placed(
+    spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, rotate_anew: bool
+) -> tuple[dict[str, Spot], FreeSpace]:
+    """Free places of a room's objects by name, and the room with all that stands in it. Raises `Unmet`.
 
-    counts : numbers of attempts and draws, for the scene's parameters. rotate_anew : draw rotations again, too, since
-    an object may fit at another rotation only.
+    rotate_anew : draw rotations again, too, since an object may fit at another rotation only.
     """
-    plan, parameters = room.plan, counts | room.parameters
-    surfaces, materials, poses = room.surfaces.copy(), room.materials.copy(), dict[str, Pose]()
+    plan, spots = room.plan, dict[str, Spot]()
     space = FreeSpace(plan.outline, plan.hidden, plan.walls, plan.height_m, view.fan, spec.clearance_m)
     space.taken.extend(room.clutter.values())
     for thing in room.things:
         rotation = draw(thing.item.rotation_deg, rng) if rotate_anew else thing.rotation_deg
-        spot = place(thing, rotation, plan, view.relay_wall, space, rng)
+        spots[thing.name] = place(thing, first_rotation(thing, rotation, rng), plan, view.relay_wall, space, rng)
+    return spots, space
+
+
+def _furnished(
+    spec: SceneConfig, room: DrawnRoom, view: _View, spots: Mapping[str, Spot], movers: Mapping[str, Mover],
+    rng: np.random.Generator, counts: dict[str, Scalar],
+) -> Scene:  # fmt: skip
+    """The scene of a room whose objects have places, at time 0 for those that move. Raises `Unmet` for an object that
+    the relay wall does not see.
+
+    counts : numbers of attempts and draws, for the scene's parameters.
+    """
+    plan, parameters = room.plan, counts | room.parameters
+    surfaces, materials, poses = room.surfaces.copy(), room.materials.copy(), dict[str, Pose]()
+    for thing in room.things:
+        spot = spots[thing.name]
+        if thing.name in movers and (first := movers[thing.name].pose(0.0)) != spot.pose:
+            spot = spot_at(plan, spot.z_m, *first)
         surfaces[thing.name] = spot.vertices(thing.solid), thing.solid.triangles
         materials[thing.name] = thing.material
         poses[thing.name] = Pose.upright(thing.label, spot.rotation_deg)
@@ -181,6 +223,7 @@ def _furnished(
         relay_wall=view.relay_wall, hidden_view=_hidden_view(plan),
         hidden_bounds=np.array([[*plan.hidden[0], 0.0], [*plan.hidden[1], plan.height_m]]),
         device_position=plan.device, parameters=parameters, poses=poses, attenuation_per_m=attenuation_per_m,
+        paths={name: path_of(mover) for name, mover in movers.items()},
     )  # fmt: skip
 
 

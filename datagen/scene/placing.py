@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from datagen.config.distributions import draw
+from datagen.config.distributions import Distribution, draw
 from datagen.config.scene_contents import Item, Standing
+from datagen.config.scene_motion import MotionPoint, Points
 from datagen.records import Rectangle
 from datagen.records.arrays import Floats
 from datagen.scene.draws import Thing
@@ -49,6 +52,15 @@ class Spot:
         """(V, 3) the solid's vertices in this pose, metres."""
         return solid.placed(self.x_m, self.y_m, self.z_m, self.rotation_deg)
 
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """x, y and the rotation."""
+        return self.x_m, self.y_m, self.rotation_deg
+
+    def occupied(self, solid: Solid) -> Occupied:
+        """What the solid takes in this pose."""
+        return Occupied(solid.footprint(*self.pose), self.z_m, self.z_m + solid.top_m)
+
 
 def place(
     thing: Thing, rotation_deg: float, plan: FloorPlan, wall: Rectangle, space: FreeSpace, rng: np.random.Generator
@@ -57,26 +69,11 @@ def place(
 
     wall : the visible part of the relay wall; `offset_m` counts from its middle.
     """
-    where, item, solid = thing.where, thing.item, thing.solid
-    placement = item.placement if isinstance(item, Standing) else "floor"
-    z = plan.height_m - thing.elevation_m - solid.top_m if placement == "hanging" else thing.elevation_m
-    # Places along the walls of the hidden part, the relay wall left out; none in the open.
-    edges = np.delete(plan.edges, plan.relay_edge, axis=0)[: 0 if plan.open_air else None]
-    spots = WallSpots.within(edges, plan.hidden) if placement == "wall" else None
-    obstacles: Counter[str] = Counter()
-    along = item.along if item.distance_m is None else item.distance_m
-    across = item.across if item.offset_m is None else item.offset_m
-    only_one = spots is None and isinstance(along, float) and isinstance(across, float)
-    for _ in range(1 if only_one else POSITIONS_PER_OBJECT):
-        if spots is None:
-            spot = _spot(item, plan, wall, z, rotation_deg, draw(along, rng), draw(across, rng))
-        else:
-            # Slightly more than the clearance, so that it is kept in spite of rounding.
-            pose = spots.pose(solid.hull, space.clearance_m * (1 + 1e-6) + 1e-9, rng)
-            if pose is None:
-                raise Unmet(where, "no_wall", final=True)
-            spot = _spot_at(plan, z, *pose)
-        taken = Occupied(solid.footprint(spot.x_m, spot.y_m, spot.rotation_deg), z, z + solid.top_m)
+    where, obstacles = thing.where, Counter[str]()
+    spots = Spots.of(thing, plan, wall, space.clearance_m)
+    for _ in range(spots.tries):
+        spot = spots.draw(rotation_deg, rng)
+        taken = spot.occupied(thing.solid)
         obstacle = space.obstacle(taken)
         if obstacle is None:
             space.taken.append(taken)
@@ -87,22 +84,80 @@ def place(
     raise Unmet(where, obstacles.most_common(1)[0][0])
 
 
-def _spot(
-    item: Item, plan: FloorPlan, wall: Rectangle, z: float, rotation_deg: float, along: float, across: float
-) -> Spot:
-    """The place of an object; `along` and `across` are metres where its settings give metres."""
+@dataclass(frozen=True)
+class Spots:
+    """Where an object may be put, free or not.
+
+    draw : (rotation, degrees; random numbers) → a place as the object's settings want it. Raises `Unmet` if there is
+        no wall that it could stand against.
+    tries : after how many places that are not free one may give up.
+    """
+
+    draw: Callable[[float, np.random.Generator], Spot]
+    tries: int
+
+    @classmethod
+    def of(cls, thing: Thing, plan: FloorPlan, wall: Rectangle, clearance_m: float) -> Spots:
+        """The places of an object that stands; of one that moves through given points, the first of them."""
+        z = height_of(thing, plan)
+        if isinstance(thing.item, Standing) and thing.item.placement == "wall":
+            # Places along the walls of the hidden part, the relay wall left out; none in the open.
+            edges = np.delete(plan.edges, plan.relay_edge, axis=0)[: 0 if plan.open_air else None]
+            stretches = WallSpots.within(edges, plan.hidden)
+            # Slightly more than the clearance, so that it is kept in spite of rounding.
+            gap_m = clearance_m * (1 + 1e-6) + 1e-9
+
+            def against_a_wall(_: float, rng: np.random.Generator) -> Spot:
+                pose = stretches.pose(thing.solid.hull, gap_m, rng)
+                if pose is None:
+                    raise Unmet(thing.where, "no_wall", final=True)
+                return spot_at(plan, z, *pose)
+
+            return cls(against_a_wall, POSITIONS_PER_OBJECT)
+        given = thing.item.motion.points[0] if isinstance(thing.item.motion, Points) else thing.item
+        draw_spot = partial(draw_place, given, plan, wall, z)
+        return cls(draw_spot, 1 if has_one_place(given) else POSITIONS_PER_OBJECT)
+
+
+def height_of(thing: Thing, plan: FloorPlan) -> float:
+    """Height of an object's lowest point, metres."""
+    hangs = isinstance(thing.item, Standing) and thing.item.placement == "hanging"
+    return plan.height_m - thing.elevation_m - thing.solid.top_m if hangs else thing.elevation_m
+
+
+def has_one_place(given: Item | MotionPoint) -> bool:
+    """Whether the place that settings ask for is the same whenever it is drawn."""
+    along, across = _place_keys(given)
+    return isinstance(along, float) and isinstance(across, float)
+
+
+def draw_place(
+    given: Item | MotionPoint, plan: FloorPlan, wall: Rectangle, z: float, rotation_deg: float,
+    rng: np.random.Generator,
+) -> Spot:  # fmt: skip
+    """A place drawn as settings ask for it: shares of the hidden part, or metres from the relay wall and from the
+    middle of its visible part, `wall`."""
+    along, across = (draw(key, rng) for key in _place_keys(given))
     (x0, y0), (x1, y1) = plan.hidden
-    x = x0 + along * (x1 - x0) if item.distance_m is None else plan.relay_segment[0, 0] - along
-    if item.offset_m is not None:
+    x = x0 + along * (x1 - x0) if given.distance_m is None else plan.relay_segment[0, 0] - along
+    if given.offset_m is not None:
         y = wall.center[1] + across * wall.right[1] / np.linalg.norm(wall.right)
     else:
         y = y0 + across * (y1 - y0) if plan.across_from_low else y1 - across * (y1 - y0)
-    if item.distance_m is None and item.offset_m is None:
+    if given.distance_m is None and given.offset_m is None:
         return Spot(float(x), float(y), z, rotation_deg, along, across)
-    return _spot_at(plan, z, float(x), float(y), rotation_deg)
+    return spot_at(plan, z, float(x), float(y), rotation_deg)
 
 
-def _spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float) -> Spot:
+def _place_keys(given: Item | MotionPoint) -> tuple[Distribution, Distribution]:
+    along = given.along if given.distance_m is None else given.distance_m
+    across = given.across if given.offset_m is None else given.offset_m
+    assert along is not None and across is not None
+    return along, across
+
+
+def spot_at(plan: FloorPlan, z: float, x: float, y: float, rotation_deg: float) -> Spot:
+    """The place with given coordinates."""
     low, high = plan.hidden
     along, across = (np.array([x, y]) - low) / (high - low)
     return Spot(x, y, z, rotation_deg, float(along), float(across if plan.across_from_low else 1 - across))

@@ -45,10 +45,29 @@ def _line(spec: SceneConfig, where: str, what: str, times: int) -> str:
         "no_wall": "found no wall to stand against: set its placement to floor, or choose another scene.layout.kind",
         "unseen": f"could hardly be seen from the visible part of the relay wall: change {where_to}, remove what "
         f"stands before it, or lower scene.minimum_seen ({spec.minimum_seen:g})",
+        **_ways(where, item),
         "dim": f"had less evidence than {item.evidence_at_least or 0:g} σ: raise detector.cycles or "
         f"photons_per_pulse, change {where_to}, or lower scene.{where}.evidence_at_least",
     }[what]
     return f"{times} × scene.{where} ({item.part_name}) {obstacle}"
+
+
+def _ways(where: str, item: Item) -> dict[str, str]:
+    """What is said of an object that found no free way, by what was in the way most often."""
+    if item.motion is None:
+        return {}
+    pace = [key for key in ("speed_m_s", "leg_m") if hasattr(item.motion, key)]
+    lower = " and ".join(f"scene.{where}.motion.{key} ({_range(getattr(item.motion, key))})" for key in pace)
+    remedy = f"lower {lower} or sequence.frames" if pace else f"change scene.{where}.motion"
+    met = {
+        "wall": "leads into a wall", "object": "meets another object", "sight": "comes in sight of the device",
+        "height": "does not fit between floor and ceiling",
+    }  # fmt: skip
+    return {
+        f"way {what}": f"had no free way, most often because it {why}: {remedy}, or enlarge the hidden part "
+        "(scene.layout)"
+        for what, why in met.items()
+    }
 
 
 def _sizes(i: int, item: Item) -> str:

@@ -112,14 +112,24 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     scenes_per_shard : that of an existing dataset, which keeps it.
 
-    Raises `InputError` if one time series is larger than a chunk can be.
+    Raises `InputError` if one time series is larger than a chunk can be, and for sequences.
     """
+    check_one_frame(config)
     fields = _measured_fields(config) + _label_fields(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
         check_size(field, scenes_per_shard)
     return Schema(fields, config.scenes, scenes_per_shard)
+
+
+def check_one_frame(config: DatasetConfig) -> None:
+    """Raise `InputError` for scenes of several frames, which datasets cannot hold yet."""
+    if config.sequence is not None:
+        raise InputError(
+            f"sequence.frames = {config.sequence.frames}: datasets of sequences cannot be made yet; leave sequence "
+            "and motion out, or take the room of a time, dg.scene_for(config, index).at(time_s)"
+        )
 
 
 def check_size(field: Field, scenes_per_shard: int) -> None:

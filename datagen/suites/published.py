@@ -69,7 +69,7 @@ def publish(config: DatasetConfig, scenes: int = SCENES) -> Published:
 def room_of(config: DatasetConfig, index: int) -> dict[str, Parameter]:
     """What is drawn for the room of a scene. The seen fraction of an object is counted by rays, of which one may just
     miss an edge on another processor."""
-    parameters = generate_scene(config.scene, config.seed, index).parameters
+    parameters = generate_scene(config.scene, config.seed, index, clock=config.clock).parameters
     return {name: value for name, value in parameters.items() if not name.endswith(".seen_fraction")}
 
 
