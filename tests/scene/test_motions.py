@@ -37,8 +37,7 @@ CLEARANCE_M = 0.02
 UNIT = {"uniform": [0, 1]}
 POINTS = [
     {"time_s": 0.1, "along": UNIT, "across": UNIT},
-    {"time_s": 0.4, "along": UNIT, "across": UNIT, "rotation_deg": 90},
-    {"time_s": 0.9, "along": UNIT, "across": UNIT},
+    {"time_s": 0.6, "along": UNIT, "across": UNIT, "rotation_deg": 90},
 ]
 MOTIONS: dict[str, dict[str, Any]] = {
     "walk": {"kind": "walk", "leg_m": {"uniform": [0.2, 1.0]}},

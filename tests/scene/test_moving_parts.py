@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,6 +122,9 @@ def test_equal_paths_are_equal() -> None:
         assert dg.Path(**{**KNOTS, key: values}) != PATH
     zero, minus = (dg.Path((0, 1), [(0, 0, 0), (sign * 0.0, 1, 0)]) for sign in (1, -1))
     assert zero == minus and hash(zero) == hash(minus) and zero != "a path"
+    # As workers get them.
+    assert pickle.loads(pickle.dumps(PATH)) == PATH
+    assert dict(pickle.loads(pickle.dumps(MOVING)).paths) == {"box": PATH}
 
 
 @pytest.mark.parametrize(
