@@ -18,7 +18,6 @@ from scipy import stats
 
 from datagen import GGX, Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, Transient, simulate
 from datagen.bench.plain_check import PlainPaths
-from datagen.transport.cut_elements import COARSE
 from datagen.transport.cuts import AT_LEAST, Cuts, _Known, outer_sides
 from datagen.transport.cuts import _precision as precision_of
 from datagen.transport.paths import sample_paths
@@ -205,7 +204,7 @@ def test_a_run_has_a_bounded_number_of_elements_however_little_each_may_bring() 
     scene, capture = furnished_box(), one_point_capture(half_side_m=0.01, time=TIME)
     cuts = Cuts(Problem.of(scene, capture, Accuracy(target=0.02), 0, split_parts=True), 0.02)
     every, groups = np.arange(1), cuts.groups.max() + 1
-    coarse_run = cuts.run(every, np.full(groups, COARSE), 0)
+    coarse_run = cuts.run(every, np.full(groups, np.inf), 0)
     photons = float(coarse_run.light.sum() + coarse_run.outside.sum())
     fine = cuts.run(every, np.full(groups, 1e-5 * photons), 0)
     cuts.most = 1 << 7
