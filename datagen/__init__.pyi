@@ -67,6 +67,7 @@ from .records import Retroreflector as Retroreflector
 from .records import Sample as Sample
 from .records import Scene as Scene
 from .records import Sensor as Sensor
+from .records import SequenceLight as SequenceLight
 from .records import SinLobe as SinLobe
 from .records import TimeAxis as TimeAxis
 from .records import Transient as Transient
@@ -76,3 +77,4 @@ from .scoring import score as score
 from .suites import SuiteResult as SuiteResult
 from .suites import build_suite as build_suite
 from .transport import simulate as simulate
+from .transport import simulate_sequence as simulate_sequence

@@ -7,9 +7,10 @@ from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phon
 from datagen.records.path import Moves, Path
 from datagen.records.sample import OnSurfaces, Sample, Scalar, Transient
 from datagen.records.scene import Part, Pose, Rectangle, Role, Scene
+from datagen.records.sequence_light import SequenceLight
 
 __all__ = [
     "GGX", "Accuracy", "Capture", "Clock", "Lambertian", "Laser", "Material", "Moves", "OnSurfaces", "Order",
     "OrenNayar", "Origin", "Pairing", "Part", "Path", "Phong", "Pose", "Rectangle", "Retroreflector", "Role",
-    "Sample", "Scalar", "Scene", "Sensor", "SinLobe", "TimeAxis", "Transient",
+    "Sample", "Scalar", "Scene", "Sensor", "SequenceLight", "SinLobe", "TimeAxis", "Transient",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.records.arrays import Floats, Ints, l2_norm
 from datagen.records.checks import check_flag, check_kind, check_seed
 from datagen.transport.blocks import LONGEST, Blocks, BlocksOf
-from datagen.transport.coincidence import set_apart
+from datagen.transport.coincidence import Apart, set_apart
 from datagen.transport.cuts import Beside, PrimaryLight, primary_by_cuts
 from datagen.transport.doubts import doubts, has_none, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
@@ -97,12 +97,9 @@ def simulate(
     check_seed(seed)
     check_flag("split_parts", split_parts)
     apart = set_apart(scene, capture)
-    if apart.warning:
-        warn(f"simulate: {apart.warning}", InputWarning, stacklevel=2)
+    for line in warnings_of(apart, capture, accuracy):
+        warn(f"simulate: {line}", InputWarning, stacklevel=2)
     scene, caster = apart.scene, apart.caster
-    astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
-    for doubt in (*([astray] if astray else []), *doubts(scene, capture, caster, accuracy.direct)):
-        warn(f"simulate: {doubt}", InputWarning, stacklevel=2)
     found = transient_of(scene, capture, accuracy, seed, split_parts=split_parts, caster=caster)
     if found.overflow.any() and not found.total.any():
         start, stop = capture.time.start_s * 1e9, capture.time.stop_s * 1e9
@@ -111,6 +108,13 @@ def simulate(
             InputWarning, stacklevel=2,
         )  # fmt: skip
     return found
+
+
+def warnings_of(apart: Apart, capture: Capture, accuracy: Accuracy) -> list[str]:
+    """Lines about what a user of a scene and capture did not mean, most likely."""
+    scene, caster = apart.scene, apart.caster
+    astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
+    return [line for line in (apart.warning, astray) if line] + list(doubts(scene, capture, caster, accuracy.direct))
 
 
 def _astray(scene: Scene, accuracy: Accuracy, part: Ints) -> str:
