@@ -78,8 +78,6 @@ DEVIATE = 1.645
 ENOUGH = 0.45
 """Precision that is missing, relative to what is there, up to which a run is not repeated: the error is then up to
 1.2 of what is asked, which counts as met."""
-FINEST = 100.0
-"""Most that δ falls from the pilot to a run, which bounds the time of a scene whose pilot met little of its light."""
 COARSEN = 4.0
 """Most that δ rises from the pilot to a run, as the error of small objects may rise steeply."""
 LEAST_LIGHT = 1e-100
@@ -90,10 +88,10 @@ NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
 MOST = 1 << 15
-"""Most elements of a histogram in any run, taken together for all, for targets down to `FINE`, and in proportion to
-1/target² below, as paths need: two replicates of so many take 131 000 rays, as many as plain paths to 2 % in rooms
-of `quickstart`. Beyond, only what is near is cut. If a pilot comes so far, cuts do not know the light: what lobes
-might bring, or what is hidden, is taken for far more than all light that there is."""
+"""Most elements of a histogram in any run, beside those of what is near, taken together for all; for targets down to
+`FINE`, and in proportion to 1/target² below, as paths need: two replicates of so many take 131 000 rays, as many as
+plain paths to 2 % in rooms of `quickstart`. Beyond, only what is near is cut. If a pilot comes so far, cuts do not
+know the light: what lobes might bring, or what is hidden, is taken for far more than all light that there is."""
 AT_LEAST = 16
 """Histograms that `MOST` is taken for at least: one alone may need more than the mean of all."""
 FINE = 0.02
@@ -161,9 +159,9 @@ class Cuts:
     """A problem, prepared for runs.
 
     groups : (K,) the group that the light of each part is judged with: each object by itself, the structure last.
-    most : elements of a histogram. error : (G,) L2 error that is asked of each group in a histogram, photons, which
-    decides how exact the shapes of light in time are. expected : (3,) of `emit`, of all runs so far. is_limited :
-    whether one had `most` in the mean.
+    most : elements of a histogram, with those of what is near. error : (G,) L2 error that is asked of each group in
+    a histogram, photons, which decides how exact the shapes of light in time are. expected : (3,) of `emit`, of all
+    runs so far. is_limited : whether one had `most` in the mean.
     """
 
     def __init__(self, problem: Problem, target: float, beside: Beside | None = None) -> None:
@@ -447,7 +445,8 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
     seen = _first_look(cuts)
     if not seen.light.any():
         return _dark(cuts, seen)
-    known, delta = _pilot(cuts, seen, target)
+    cuts.most += math.ceil(seen.least)
+    known, delta, finest = _pilot(cuts, seen, target)
     if cuts.knows_little:
         return None
     # Light of few histograms has few differences that tell its error, so that it is run more often; unless there is
@@ -470,7 +469,7 @@ def primary_by_cuts(problem: Problem, target: float, beside: Beside | None = Non
             break
         # Elements are as fine as those of a single run, because what all runs share does not average out; and hardly
         # coarser than what is known, as the error of small objects may rise steeply.
-        delta = np.where(again, np.clip(_finer(wanted), delta / FINEST, delta if turn else COARSEN * delta), delta)
+        delta = np.where(again, np.clip(_finer(wanted), finest, delta if turn else COARSEN * delta), delta)
         asked = np.where(again, delta, np.nan)
         for _ in range(times):
             found.add(asked)
@@ -487,7 +486,8 @@ def _is_faint(cuts: Cuts, known: _Known, target: float) -> bool:
 
 class _Seen(NamedTuple):
     """What a look has told: light (K, n, T), outside (K, n), square (G, n) and whole (n,) as in `Run`, of the
-    histograms `which` (n,); `guessed` photons of all histograms within the window; and the number of samples."""
+    histograms `which` (n,); `guessed` photons of all histograms within the window; the number of samples; and how
+    many a replicate of a histogram takes, at least."""
 
     which: Ints
     light: Floats
@@ -496,6 +496,7 @@ class _Seen(NamedTuple):
     whole: Floats
     guessed: float
     samples: int
+    least: float
 
 
 def _first_look(cuts: Cuts) -> _Seen:
@@ -526,7 +527,8 @@ def _look(cuts: Cuts, which: Ints, times: int, most: int, number: int) -> _Seen:
     light, outside = (more * sum(getattr(run, name) for run in runs) / n for name in ("light", "outside"))
     square, whole = (more**2 * sum(getattr(run, name) for run in runs) / n**2 for name in ("square", "whole"))
     guessed = more * sum(run.guessed for run in runs) / n * cuts.pairs.histograms / len(which)
-    return _Seen(which, light, outside, square, whole, guessed, sum(run.samples for run in runs))
+    samples = sum(run.samples for run in runs)
+    return _Seen(which, light, outside, square, whole, guessed, samples, more * samples / (2 * n * len(which)))
 
 
 def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
@@ -540,18 +542,19 @@ def _dark(cuts: Cuts, seen: _Seen) -> PrimaryLight:
     )  # fmt: skip
 
 
-def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
-    """What runs of a few histograms tell, and δ (G,) of the last of them, which is not much coarser than what
-    follows: of much finer elements it would tell nothing."""
+def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats, Floats]:
+    """What runs of a few histograms tell; δ (G,) of the last of them, which is not much coarser than what follows, as
+    of much finer elements it would tell nothing; and the finest δ (G,) with which a run stays within its elements."""
     H, bins = cuts.pairs.histograms, cuts.problem.capture.time.bins
     few = np.tile(_spread(cuts, H, FEW), -(-FEWEST // H))
     more = H / len(few)
     cuts.error = _errors_from_look(cuts, seen, target)
     delta = COARSER * cuts.error
     light, again = np.zeros((len(cuts.groups), len(few), bins)), delta > 0.0
-    known = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more)
+    known, samples = _Known(light, light.sum(axis=0), np.zeros(len(delta)), more), 0
     for turn in range(PILOTS):
         run = cuts.run(few, np.where(again, delta, np.nan), 100 + turn)
+        samples += run.samples
         light[again[cuts.groups]] = run.light[again[cuts.groups]]
         known = known._replace(total=light.sum(axis=0))
         known.squares[again] = more * run.square.sum(axis=1)[again] * delta[again] ** (-2 * FALLS)
@@ -561,7 +564,9 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats]:
         if turn == PILOTS - 1 or not again.any() or cuts.knows_little:
             break
         delta = np.where(again, np.maximum(finer, delta / STEP), delta)
-    return known, delta
+    # Elements grow no faster than 1/δ; all pilots count, as groups were left out of some.
+    share = samples / (2 * len(few) * cuts.most * max(1.0, AT_LEAST / H))
+    return known, delta, delta * min(share, 1.0)
 
 
 def _errors_from_look(cuts: Cuts, seen: _Seen, target: float) -> Floats:
