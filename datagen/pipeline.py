@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -13,14 +13,16 @@ from numpy.typing import NDArray
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
-from datagen.design.light import light_of, transport_effects
+from datagen.design.light import Light, light_of, transport_effects
 from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, SamplerChoice, Spad, detect_and_choice, detector_for
+from datagen.detector.carry_over import check_carry_over
 from datagen.devices import zone_depth
 from datagen.effects import EffectDecisions, decide_detector_effects
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
+from datagen.evidence.change import change_parameters, change_tables, changes_of
 from datagen.evidence.image import representative_pairs
 from datagen.evidence.own import UNKNOWN, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
@@ -28,12 +30,12 @@ from datagen.evidence.presence import Presence, presence_against, presence_param
 from datagen.labels import MADE_HERE, make_labels
 from datagen.labels.frame import scan_place
 from datagen.labels.images import hidden_surface
-from datagen.records import Capture, Sample, Scalar, Scene, TimeAxis, Transient
-from datagen.records.arrays import Floats
+from datagen.labels.motion import motion_tables
+from datagen.records import Capture, Clock, Sample, Scalar, Scene, SequenceLight, TimeAxis, Transient
+from datagen.records.arrays import Floats, l2_norm
 from datagen.records.label_fields import LABEL_FIELDS
 from datagen.records.sample import SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
-from datagen.store.schema import check_one_frame
 from datagen.transport.coincidence import set_apart
 from datagen.transport.lines_of_sight import lit_points, seen_points
 from datagen.transport.rays import Raycaster
@@ -66,7 +68,7 @@ STAGES = (
     Stage(
         "capture",
         ("laser_position", "laser_points", "laser_normals", "sensor_position", "sensor_pixels", "sensor_points",
-         "sensor_normals"),
+         "sensor_normals", "laser_time"),
         SCAN_PLACE, (),
     ),
     Stage("detector", (), ("detector.", "exposure."), ()),
@@ -104,8 +106,14 @@ def sample_of(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, seconds: dict[str, float] | None = None
 ) -> Sample:
     """Sample `index` of a scene and a capture, wherever these come from. seconds : those of earlier stages."""
-    setup = Setup.of(config, index, scene, capture, seconds)
-    return sample_from(setup, simulated_light(setup))
+    return sample_of_setup(Setup.of(config, index, scene, capture, seconds))
+
+
+def sample_of_setup(setup: Setup) -> Sample:
+    """The sample of a setup: of a scene that is measured once, or of the frames of a sequence."""
+    if setup.times is None:
+        return sample_from(setup, simulated_light(setup))
+    return sequence_from(setup, simulated_frames(setup))
 
 
 def sample_from(setup: Setup, light: SceneLight) -> Sample:
@@ -117,12 +125,40 @@ def sample_from(setup: Setup, light: SceneLight) -> Sample:
 
 
 @dataclass(frozen=True)
+class FrameTimes:
+    """When the frames of a sequence are measured, seconds since the first one began.
+
+    points : (F, L) middle of the exposure of each laser point. middles : (F,) of each frame, which labels are made
+    for.
+    """
+
+    points: Floats
+    middles: Floats
+
+    @classmethod
+    def of(cls, clock: Clock, capture: Capture, spad: Spad, exposure: Exposure) -> FrameTimes:
+        """The times of a capture under an exposure. Raises `InputError` if the exposures do not fit into a frame, or
+        are so short that each would take counts over from the one before."""
+        # A flood lights all of its points at once, in whatever order a scan would.
+        clock = replace(clock, order="together", columns=None) if capture.illumination == "flood" else clock
+        points, exposure_s = capture.shape[0], exposure.cycles * exposure.period_s
+        try:
+            times = clock.times(points, exposure_s, exposure.repetition_rate_hz)
+        except InputError as error:
+            message = str(error).replace("Clock.", "sequence.").replace(" fits for each", " of detector.cycles fit")
+            raise InputError(message) from None
+        check_carry_over(spad, exposure)
+        return cls(times, clock.middles(points, exposure_s))
+
+
+@dataclass(frozen=True)
 class Setup:
     """A scene and the device that measures it.
 
-    scene : without surfaces of two parts in one place.
+    scene : without surfaces of two parts in one place; of a sequence with its paths, as it is given.
     caster : of the scene's triangles.
     seconds : wall-clock seconds by stage; every stage adds its own.
+    times : of the frames of a sequence; None of a scene that is measured once.
     """
 
     config: DatasetConfig
@@ -133,19 +169,34 @@ class Setup:
     spad: Spad
     exposure: Exposure
     seconds: dict[str, float]
+    times: FrameTimes | None = None
 
     @classmethod
     def of(
         cls, config: DatasetConfig, index: int, scene: Scene, capture: Capture,
-        seconds: dict[str, float] | None = None,
+        seconds: dict[str, float] | None = None, clock: Clock | None = None,
     ) -> Setup:  # fmt: skip
-        """The setup of scene `index`, with the configured detector. seconds : those of earlier stages."""
-        check_one_frame(config)
+        """The setup of scene `index`, with the configured detector.
+
+        seconds : those of earlier stages. clock : of a sequence; left out: as configured.
+
+        Raises `InputError` as `FrameTimes.of` does.
+        """
         seconds = dict[str, float]() if seconds is None else seconds
         with _timed(seconds, "effects"):
             apart = set_apart(scene, capture)
         spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-        return cls(config, index, apart.scene, capture, apart.caster, spad, exposure, seconds)
+        clock = config.clock if clock is None else clock
+        if clock is None:
+            return cls(config, index, apart.scene, capture, apart.caster, spad, exposure, seconds)
+        times = FrameTimes.of(clock, capture, spad, exposure)
+        return cls(config, index, scene, capture, apart.caster, spad, exposure, seconds, times)
+
+    def at(self, time_s: float) -> Setup:
+        """The setup of the scene as it stands at a time."""
+        with _timed(self.seconds, "effects"):
+            apart = set_apart(self.scene.at(time_s), self.capture)
+        return replace(self, scene=apart.scene, caster=apart.caster, times=None)
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -200,8 +251,91 @@ def simulated_light(setup: Setup) -> SceneLight:
 
 
 @dataclass(frozen=True)
+class LightOfFrames:
+    """The light of a sequence.
+
+    frames : the light to be detected.
+    lit : the arguments of the transport that gave it. effects : decisions on the transport's effects.
+    background : (L, P, T) the light of the scene without its objects, the same in all frames; None if it is not
+        stored.
+    """
+
+    frames: SequenceLight
+    lit: Light
+    effects: EffectDecisions
+    background: Floats | None = None
+
+    def at_once(self) -> SceneLight:
+        """The light of all frames as that of one scan, in which each laser point comes in each frame: (F · L, P, T).
+        No light is below 0 in it, as counts are drawn from it."""
+        light, rest = self.frames, self.frames.moving.shape[2:]
+        total = np.maximum(light.static + light.moving, 0.0)
+        errors = {name: error[~np.isnan(error)] for name, error in light.part_errors.items()}
+        transient = Transient(
+            light.time, {"all": total.reshape(-1, *rest)}, {}, light.stderr.reshape(-1, *rest),
+            light.overflow.reshape(-1, rest[0]), light.laser_points.reshape(-1, 3), light.seconds,
+            _error_of_all(light), None if light.met_target is None else bool(light.met_target.all()),
+            {name: float(error.max()) for name, error in errors.items() if error.size}, light.samplers, light.rays,
+        )  # fmt: skip
+        background = self.background
+        if background is not None:
+            background = np.tile(background, (light.frames, 1, 1))
+        return SceneLight(transient, self.effects, background)
+
+
+def simulated_frames(setup: Setup) -> LightOfFrames:
+    """The light of a sequence, by our own transport. Raises `InputError` if no laser ray meets a surface."""
+    config, scene, capture, times = setup.config, setup.scene, setup.capture, setup.times
+    assert times is not None
+    frames = len(times.middles)
+    with _timed(setup.seconds, "effects"):
+        # All frames have the same effects, decided in the middle one: others would be a change of the light.
+        effects = transport_effects(config, scene.at(times.middles[frames // 2]), capture, setup.index)
+    with _timed(setup.seconds, "transport"):
+        lit = light_of(
+            config, setup.index, scene, capture, effects, setup.spad, setup.exposure, frames=frames
+        )  # fmt: skip
+        light = lit.frames(times.points)
+        if np.isnan(light.laser_points).all():
+            raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
+    background = None
+    if any(name in BACKGROUND_FIELDS for name in setup.fields):
+        with _timed(setup.seconds, "background"):
+            background = lit.background().total
+    return LightOfFrames(light, lit, effects, background)
+
+
+def _error_of_all(light: SequenceLight) -> float:
+    """Relative L2 error of the light of all frames together, as claimed; NaN where that of any frame is not known."""
+    norms = np.array([l2_norm(light.total(frame)) for frame in range(light.frames)])
+    norm = l2_norm(norms)
+    return l2_norm(light.relative_error * norms) / norm if norm > 0 else 0.0
+
+
+def _change_error(light: SequenceLight) -> float:
+    """Relative L2 error of the changes of all frames together, as claimed; NaN where nothing changes, or where less
+    is known of the changes than that there are any."""
+    changed = np.array([l2_norm(light.change(frame)) for frame in range(1, light.frames)])
+    error = l2_norm(light.change_errors)
+    # The changes that are measured have noise, whose share is taken off their norm.
+    known = l2_norm(changed) ** 2 - error**2
+    return error / known**0.5 if known > 0 else float("nan")
+
+
+def _clipped(scene: Scene, light: SequenceLight) -> float:
+    """Light below 0, of which counts are drawn as of 0, over the light that moving parts block: it is below 0 where
+    what they block is not known well enough. 0 where it is nowhere."""
+    clipped = blocked = 0.0
+    for frame in range(light.frames):
+        clipped -= float(np.minimum(light.total(frame), 0.0).sum())
+        brought = sum((light.parts[name][frame] for name in scene.moving if name in light.parts), start=0.0)
+        blocked += float(np.maximum(brought - light.moving[frame], 0.0).sum())
+    return clipped / blocked if clipped > 0 else 0.0
+
+
+@dataclass(frozen=True)
 class Counts:
-    """The counts of a scene.
+    """The counts of a scene, or of all frames of a sequence as of one scan.
 
     histogram : (L, P, T) detections.
     background : those of the scene without its objects; None without that light.
@@ -268,6 +402,68 @@ def labels_of(
         if "zone_depth" in fields:
             arrays["zone_depth"] = zone_depth(scene, setup.capture).astype(np.float32)
     return arrays, evidence_parameters(evidence) | presence_parameters(presence)
+
+
+def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
+    """The sample of a sequence whose light is known: counts, labels of each frame and their parameters."""
+    assert setup.times is not None
+    at_once, frames = light.at_once(), light.frames.frames
+    counts = counts_of(setup, at_once)
+    arrays, detectability = labels_of_frames(setup, light, counts)
+    for name, values in _measured(setup, at_once, counts).items():
+        arrays[name] = values.reshape(frames, -1, *values.shape[1:])
+    if "transient" in arrays:
+        # Light keeps its sign: what is clipped would be a bias of the changes.
+        arrays["transient"] = light.frames.static + light.frames.moving
+    arrays |= _geometry(setup) | {"laser_time": setup.times.points}
+    changing = {
+        "transient.change_error": _change_error(light.frames),
+        "transient.clipped": _clipped(setup.scene, light.frames),
+    }
+    parameters = _parameters(setup, at_once, counts) | changing | detectability
+    return Sample(setup.index, arrays, parameters, setup.seconds)
+
+
+def labels_of_frames(
+    setup: Setup, light: LightOfFrames, counts: Counts
+) -> tuple[dict[str, NDArray[np.generic]], dict[str, Scalar]]:
+    """As `labels_of`, for the frames of a sequence: each has the labels of its middle, and parameters are the medians
+    over the frames."""
+    assert setup.times is not None
+    times, frames, scene = setup.times, light.frames, setup.scene
+    without = list[tuple[str, SequenceLight]]()
+    if "presence" in setup.fields:
+        with _timed(setup.seconds, "presence"):
+            without = [(name, light.lit.frames_without(name, times.points)) for name in scene.objects]
+    every, evidence = list[dict[str, NDArray[np.generic]]](), list[dict[str, Scalar]]()
+    for frame, middle in enumerate(times.middles):
+        at, one = setup.at(float(middle)), frames.frame(frame)
+        with _timed(setup.seconds, "evidence"):
+            whole = replace(one, components={"all": np.maximum(one.total, 0.0)})
+            lit, accuracy = light.effects.apply_transport(at.scene, at.capture, light.lit.accuracy)
+            in_sight = light_in_sight(lit, at.capture, accuracy, light.lit.seed, at.caster) if scene.objects else {}
+        others = [(name, other.frame(frame)) for name, other in without]
+        found, known = labels_of(at, SceneLight(whole, light.effects, None, in_sight, others), counts)
+        every.append(found)
+        evidence.append(known)
+    arrays = {
+        name: every[0][name] if name in _SAME_IN_FRAMES else np.stack([of[name] for of in every])
+        for name in every[0]
+    }  # fmt: skip
+    medians: dict[str, Scalar] = {
+        name: float(np.median([float(of[name]) for of in evidence])) for name in evidence[0]
+    }
+    with _timed(setup.seconds, "evidence"):
+        changes = changes_of(scene, frames, counts.spad, counts.exposure)
+    if "objects" in setup.fields:
+        rows = setup.config.scene.most_objects()
+        arrays |= change_tables(changes, rows, frames.frames)
+        with _timed(setup.seconds, "labels"):
+            arrays |= motion_tables(scene, times.middles, rows)
+    return arrays, medians | change_parameters(changes, scene.moving)
+
+
+_SAME_IN_FRAMES = {of.name for of in LABEL_FIELDS if of.over_frames == "same"}
 
 
 def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDArray[np.generic]]:

@@ -34,9 +34,14 @@ def sample(config: DatasetConfig, index: int) -> Sample:
     return Sample(index, arrays, {"width_m": index / 7, "kind": f"k{index}"}, {"scene": 0.5})
 
 
-def small_dataset(root: Path) -> DatasetConfig:
-    """Write one of five scenes in three shards, with sharded fields and small ones; returns its configuration."""
+def small_dataset(root: Path, frames: int | None = None) -> DatasetConfig:
+    """Write one of five scenes in three shards, with sharded fields and small ones; returns its configuration.
+
+    frames : of each scene, if they are sequences.
+    """
+    sequence = {"sequence": {"frames": frames, "rate_hz": 10}, "detector": {"cycles": 1000}} if frames else {}
     config = config_from_mapping({
+        **sequence,
         "scenes": SCENES, "name": "fuzzed", "labels": {"rows": 2, "columns": 2},
         "capture": {"scan": {"rows": 1, "columns": 2}, "time": {"bins": 8}},
         "store": {"fields": ["histogram", "depth", "objects"], "scenes_per_shard": 2},

@@ -30,8 +30,7 @@ from datagen.store import upload
 from datagen.store.environment import made_with, mixed
 from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
-from datagen.store.schema import check_one_frame
-from datagen.store.summaries import missed_lines, placed_anew_lines
+from datagen.store.summaries import clipped_lines, missed_lines, placed_anew_lines
 
 NOISY = 0.2
 """Median relative error of a dataset's transients above which a build warns: about where the noise of the simulation
@@ -182,6 +181,8 @@ def build(
         shown.say(noisy)
     for line in missed_lines(dataset.parameters):
         shown.say(f"window: {line}")
+    for line in clipped_lines(dataset.parameters):
+        shown.say(f"shadows: {line}")
     return BuildResult(
         path=output.shown, scenes=manifest.schema.scenes, built=len(wanted) - kept,
         kept=kept, complete=dataset.is_whole, seconds=time.monotonic() - began, noisy=noisy,
@@ -264,7 +265,6 @@ def _with_exposure(root: Path, config: DatasetConfig) -> DatasetConfig:
 def _check_arguments(config: object, path: object, scene_seconds: float | None, engine: str) -> None:
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     assert isinstance(config, DatasetConfig)
-    check_one_frame(config)
     if not isinstance(path, Bucket):
         check_path("path", path, "name the folder to make")
     if str(path) == "":

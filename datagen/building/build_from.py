@@ -19,15 +19,15 @@ from datagen.building.input_check import doubtful_scenes, parts_in_one_place
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError, InputWarning, shown
 from datagen.labels.boxes import classes_in
-from datagen.pipeline import BACKGROUND_FIELDS, SceneLight, Setup, sample_from, simulated_light
-from datagen.records import Capture, Sample, Scene, Transient
+from datagen.pipeline import BACKGROUND_FIELDS, SceneLight, Setup, sample_from, sample_of_setup
+from datagen.records import Capture, Clock, Sample, Scene, Transient
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_names, check_kind, check_seed
 from datagen.transport.lines_of_sight import lit_points
 
 
 def build_from(
-    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, ArrayLike]],
+    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, ArrayLike | Clock]],
     path: str | Path, capture: Capture | Callable[[Scene], Capture] | None = None, *,
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
@@ -39,7 +39,8 @@ def build_from(
     scenes : each is a `Scene`; or (`Scene`, `Capture`), with a capture of its own; or (`Scene`, `Capture`, transient)
         with a transient (L, P, T) of another simulator, in expected photons at the aperture per emitted photon.
         Counts and labels are then made for this transient; laser points and what pixels look at are where rays meet
-        the scene, as always.
+        the scene, as always. Or (`Scene`, `Capture`, `Clock`), a sequence of frames in which parts move along their
+        paths; all of a dataset have the same clock.
     path : the folder of the dataset; the same call again resumes a build.
     capture : the capture of all scenes without one of their own, or a function of the scene that returns it. All
         captures of a dataset have one shape, one time axis and one pairing.
@@ -51,7 +52,8 @@ def build_from(
 
     Raises
     ------
-    InputError : no scenes, captures that differ in shape or times, invalid settings, another dataset at `path`.
+    InputError : no scenes, captures that differ in shape or times, parts that move without a clock, clocks that
+        differ, invalid settings, another dataset at `path`.
     CheckError : scenes failed (all others are there), or the disk refused.
 
     The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. Commands that
@@ -99,15 +101,17 @@ def build_from(
 
 @dataclass(frozen=True)
 class Given:
-    """The input of one sample: a scene, its capture, and its transient if another simulator made it (else None)."""
+    """The input of one sample: a scene, its capture, its transient if another simulator made it (else None), and the
+    clock of a sequence (else None)."""
 
     scene: Scene
     capture: Capture
     transient: Floats | None
+    clock: Clock | None = None
 
     @property
     def digest(self) -> str:
-        """Hex SHA-256 of scene, capture and transient."""
+        """Hex SHA-256 of scene, capture, transient and clock."""
         s, c = self.scene, self.capture
         values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
@@ -122,6 +126,8 @@ class Given:
         arrays += [array for _, p in sorted(s.paths.items()) for array in (p.times_s, p.places, p.headings_deg)]
         for array in arrays:
             hashed.update(b"-" if array is None else repr(array.shape).encode() + array.tobytes())
+        if self.clock is not None:
+            hashed.update(repr(self.clock).encode())
         return hashed.hexdigest()
 
 
@@ -134,9 +140,10 @@ class GivenSamples:
     def __call__(self, config: DatasetConfig, index: int) -> Sample:
         """Sample number `index`."""
         item: Given = pickle.loads((Path(self.folder) / str(index)).read_bytes())
-        setup = Setup.of(config, index, _with_digest(item), item.capture)
-        light = simulated_light(setup) if item.transient is None else _imported_light(setup, item.transient)
-        return sample_from(setup, light)
+        setup = Setup.of(config, index, _with_digest(item), item.capture, clock=item.clock)
+        if item.transient is None:
+            return sample_of_setup(setup)
+        return sample_from(setup, _imported_light(setup, item.transient))
 
 
 def _imported_light(setup: Setup, transient: Floats) -> SceneLight:
@@ -149,14 +156,17 @@ def _imported_light(setup: Setup, transient: Floats) -> SceneLight:
 def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
     """The input of sample `number`, from an item of `scenes`, after checks."""
     parts: Any = item if isinstance(item, tuple) else (item,)
-    scene, own, transient = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
+    scene, own, last = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)
+    clock, transient = (last, None) if isinstance(last, Clock) else (None, last)
     if not isinstance(scene, Scene):
         raise InputError(f"scenes[{number}] = {shown(scene)}: a Scene is needed, or (Scene, Capture, …)")
-    if scene.moving:
+    if scene.moving and clock is None:
         raise InputError(
-            f"scenes[{number}]: {scene.moving[0]!r} moves, and datasets of sequences cannot be built yet; give the "
-            "scene at a time, scene.at(time_s)"
+            f"scenes[{number}]: {scene.moving[0]!r} moves, and nothing says when frames are measured; give (Scene, "
+            "Capture, Clock), or the scene at a time, scene.at(time_s)"
         )
+    if clock is not None and clock.frames < 2:
+        raise InputError(f"scenes[{number}]: a clock of 1 frame; give the scene at a time, scene.at(time_s)")
     found = own if own is not None else capture(scene) if callable(capture) else capture
     if not isinstance(found, Capture):
         raise InputError(
@@ -164,7 +174,7 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
             "or one for all as capture="
         )
     if transient is None:
-        return Given(scene, found, None)
+        return Given(scene, found, None, clock)
     values = np.asarray(transient)
     if values.shape != found.shape or values.dtype.kind not in "fiu" or not (values >= 0).all():
         raise InputError(
@@ -193,7 +203,12 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
                 f"scenes[{number}]: its capture has shape {other.shape}, {other.time}, the first {first.shape}, "
                 f"{first.time}; all of a dataset have one shape, time axis, pairing and illumination"
             )
-    for name in ("scene", "capture", "seed", "scenes"):
+        if item.clock != given[0].clock:
+            raise InputError(
+                f"scenes[{number}]: its clock is {item.clock}, that of the first {given[0].clock}; all of a dataset "
+                "have the same frames, or none"
+            )
+    for name in ("scene", "capture", "seed", "scenes", "sequence"):
         if name in settings:
             raise InputError(f"settings: {name!r} follows from the scenes and captures given; leave it out")
     labels = ("depth",) if all(item.scene.hidden_view for item in given) else ()
@@ -220,4 +235,6 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
         capture["field_of_view"] |= {"rows": 1, "columns": pixels}
     store = settings.pop("store", {}) | {"fields": list(fields)}
     described = {"seed": seed, "scenes": len(given), "scene": {"layout": layout, "contents": []}, "store": store}
+    if (clock := given[0].clock) is not None:
+        described["sequence"] = {"frames": clock.frames, "rate_hz": clock.rate_hz, "order": clock.order}
     return config_from_mapping(settings | described | {"capture": capture}, source="settings")

@@ -17,6 +17,7 @@ from datagen.devices import share_of_late_zones
 from datagen.errors import InputError, InputWarning
 from datagen.labels.solids import LARGEST_HOLE_SHARE, open_share
 from datagen.labels.triangles import open3d_for_labels
+from datagen.pipeline import FrameTimes
 from datagen.records import Capture, Scene
 from datagen.records.label_fields import LABEL_FIELDS
 from datagen.scene import check_scene_config, meshes_named
@@ -39,9 +40,9 @@ look into large rooms on purpose."""
 def check_inputs(config: DatasetConfig) -> None:
     """Raise `InputError` for what can be found wrong before a dataset is begun: mesh files, a room that cannot be
     furnished or a capture that does not fit it (the first `SCENES_TRIED` scenes are generated), an impossible
-    detector, labels without Open3D. Warn of what is possible but most likely not meant: no objects, volumes of meshes
-    with holes, bent faces of meshes, zones whose light arrives after the time axis ends, and scenes that are too
-    large for their light or shut it in.
+    detector, exposures that do not fit into the frames of a sequence, labels without Open3D. Warn of what is possible
+    but most likely not meant: no objects, volumes of meshes with holes, bent faces of meshes, zones whose light
+    arrives after the time axis ends, and scenes that are too large for their light or shut it in.
     """
     check_scene_config(config.scene)
     if any((of.is_image or of.is_volume) and of.label in config.store.fields for of in LABEL_FIELDS):
@@ -49,6 +50,9 @@ def check_inputs(config: DatasetConfig) -> None:
         open3d_for_labels()
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
     tried = [_tried(config, index) for index in range(min(config.scenes, most))]
+    if config.clock is not None:
+        for index, (_, capture) in enumerate(tried):
+            FrameTimes.of(config.clock, capture, *detector_for(config.detector, config.seed, index, capture.time))
     capture = tried[0][1]
     spad, exposure = detector_for(config.detector, config.seed, 0, capture.time)
     dark = np.zeros((1, *capture.shape[1:]))

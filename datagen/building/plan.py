@@ -24,7 +24,6 @@ from datagen.store import prepare, schema_of, write_shard
 from datagen.store.columns import Columns
 from datagen.store.environment import cores
 from datagen.store.files import finite
-from datagen.store.schema import check_one_frame
 from datagen.store.summaries import KindEvidence, evidence_by_kind
 
 SECONDS = 5.0
@@ -104,7 +103,6 @@ def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS
     check_workers(workers)
     if not 0 < seconds < math.inf:
         raise InputError(f"{as_given('seconds', seconds)}: must be > 0, such as {SECONDS:g}")
-    check_one_frame(config)
     config = with_exposure_found(config)
     check_inputs(config)
     return planned(config, simulated_scenes(config, seconds), workers, cores())

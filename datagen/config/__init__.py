@@ -7,6 +7,7 @@ from datagen.config.dataset import (
     fingerprint_of,
     json_schema,
     load_config,
+    stored_axes,
     time_axes,
 )
 from datagen.config.detector import DetectorConfig
@@ -20,5 +21,5 @@ from datagen.config.transport import TransportConfig
 __all__ = [
     "CaptureConfig", "DatasetConfig", "DetectorConfig", "EffectsConfig", "LabelsConfig", "SceneConfig",
     "SplitsConfig", "StoreConfig", "TransportConfig", "config_from_mapping", "fingerprint_of", "json_schema",
-    "load_config", "time_axes",
+    "load_config", "stored_axes", "time_axes",
 ]  # fmt: skip

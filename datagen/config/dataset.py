@@ -19,6 +19,7 @@ from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scans import GridScan
 from datagen.config.scene import SceneConfig
+from datagen.config.scene_layouts import NoLayout
 from datagen.config.sequence import SequenceConfig
 from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
@@ -27,6 +28,7 @@ from datagen.config.yaml_text import read_yaml
 from datagen.errors import InputError
 from datagen.records import Clock
 from datagen.records.checks import as_given, check_path
+from datagen.records.clock import Order
 from scene_library.materials import checked_wavelength_nm
 
 MOST_SCENES = 100_000_000
@@ -130,7 +132,9 @@ class DatasetConfig(Settings):
                     )
             return
         scan, order = self.capture.scan, self.sequence.order
-        if order in ("serpentine", "interleaved") and not isinstance(scan, GridScan):
+        # Of scenes that are given, the clock comes with them and knows the rows.
+        is_given = isinstance(self.scene.layout, NoLayout)
+        if order in ("serpentine", "interleaved") and not isinstance(scan, GridScan) and not is_given:
             raise ValueError(
                 f"sequence.order = {order!r} with capture.scan.kind = {scan.kind!r}, which has no rows: take raster, "
                 "or a grid"
@@ -146,7 +150,9 @@ class DatasetConfig(Settings):
         usual = min(USUAL_REPETITION_RATE_HZ, 1.0 / (axis.bins * axis.width_s))
         rate_hz = usual if own is None else support(own)[0] * 1e6
         try:
-            Clock(1, sequence.rate_hz, sequence.order, self._scan_columns).times(
+            # Of the order only this matters for how long they take.
+            order: Order = "together" if sequence.order == "together" else "raster"
+            Clock(1, sequence.rate_hz, order).times(
                 self.capture.shape[0], support(self.detector.cycles)[1] / rate_hz, rate_hz
             )
         except InputError as error:
@@ -189,6 +195,12 @@ def time_axes(config: DatasetConfig) -> dict[str, TimeConfig]:
     """Axis of the stored arrays → its bins: `bin`, and `transient_bin` where the sensor merges bins."""
     fine, merged = config.capture.time, config.detector.bins_merged
     return {"bin": fine} if merged == 1 else {"bin": fine.merged(merged), "transient_bin": fine}
+
+
+def stored_axes(config: DatasetConfig) -> dict[str, TimeConfig | SequenceConfig]:
+    """Axis of the stored arrays that has a coordinate → what says where its points lie: `time_axes`, and `frame` of
+    sequences."""
+    return {**time_axes(config), **({} if config.sequence is None else {"frame": config.sequence})}
 
 
 def fingerprint_of(settings: dict[str, Any], mesh_digests: dict[str, str]) -> str:

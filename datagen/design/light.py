@@ -13,10 +13,12 @@ from datagen.config import DatasetConfig
 from datagen.detector import Exposure, Spad
 from datagen.effects import EffectDecisions, decide_transport_effects
 from datagen.evidence import Evidence, own_evidence
-from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.records import Accuracy, Capture, Scene, SequenceLight, Transient
+from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
 from datagen.transport.rays import Raycaster
+from datagen.transport.sequences import light_of_frames
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,15 @@ class Light:
         """The transient of the scene."""
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
+    def frames(self, times_s: Floats) -> SequenceLight:
+        """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L)."""
+        captures = [self.capture] * len(times_s)
+        return light_of_frames(self.scene, captures, times_s, self.accuracy, self.seed)
+
+    def frames_without(self, name: str, times_s: Floats) -> SequenceLight:
+        """The light of the frames without one part, from the same random numbers."""
+        return replace(self, scene=self.scene.without(name)).frames(times_s)
+
     def background(self) -> Transient:
         """The transient of the scene without its objects, from the same random numbers: other paths stay the same."""
         empty = self.scene.without(*self.scene.objects)
@@ -58,13 +69,16 @@ def transport_effects(
 
 def light_of(
     config: DatasetConfig, index: int, scene: Scene, capture: Capture, effects: EffectDecisions, spad: Spad,
-    exposure: Exposure, caster: Raycaster | None = None,
+    exposure: Exposure, caster: Raycaster | None = None, frames: int = 1,
 ) -> Light:  # fmt: skip
-    """The arguments of the transport for scene `index`, given its `transport_effects` and its detector."""
+    """The arguments of the transport for scene `index`, given its `transport_effects` and its detector.
+
+    frames : how many exposures a laser point has.
+    """
     lit, accuracy = effects.apply_transport(scene, capture, config.transport.accuracy())
-    # Photons at the aperture, per emitted photon and over a whole scan, that give one detection on average: the error
-    # of an object with less light than that does not matter.
-    counted = exposure.photons_per_pulse * exposure.cycles * spad.pde
+    # Photons at the aperture, per emitted photon and over a whole scan (all frames of a sequence), that give one
+    # detection on average: the error of an object with less light than that does not matter.
+    counted = exposure.photons_per_pulse * exposure.cycles * spad.pde * frames
     accuracy = replace(accuracy, faint_part=1.0 / counted if counted > 0 else 0.0)
     return Light(lit, capture, accuracy, derived_seed(config.seed, index, Purpose.TRANSPORT), caster)
 

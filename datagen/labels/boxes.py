@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame
-from datagen.records import Scene
+from datagen.records import Pose, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.records.label_fields import names_made_by
 
@@ -57,8 +57,7 @@ class ObjectBoxes:
             pose = scene.pose_of(scene.part_names[k])
             if pose.label not in classes:
                 raise InputError(f"label 'objects': class {pose.label!r} is none of {', '.join(classes)}")
-            own = scene.vertices[np.unique(scene.triangles[scene.face_part == k])] @ pose.axes.T
-            low, high = own.min(axis=0), own.max(axis=0)
+            low, high = _corners_of_box(scene, k, pose)
             label[row], part[row] = classes.index(pose.label), k
             center[row], size[row] = frame.to_view((low + high) / 2 @ pose.axes), high - low
             rotation[row] = frame.axes @ pose.axes.T
@@ -82,6 +81,19 @@ class ObjectBoxes:
         n = self.count
         offset = sides * self.size[:n, None].astype(np.float64)
         return np.asarray(self.center[:n, None] + np.einsum("nij,nkj->nki", self.rotation[:n], offset))
+
+
+def middle_of_box(scene: Scene, part: str) -> Floats:
+    """(3,) middle of the box of a part, in the scene, metres."""
+    pose = scene.pose_of(part)
+    low, high = _corners_of_box(scene, scene.part_names.index(part), pose)
+    return np.asarray((low + high) / 2 @ pose.axes)
+
+
+def _corners_of_box(scene: Scene, part: int, pose: Pose) -> tuple[Floats, Floats]:
+    """Two opposite corners of the bounding box of a part's vertices along the axes of its pose."""
+    own = scene.vertices[np.unique(scene.triangles[scene.face_part == part])] @ pose.axes.T
+    return own.min(axis=0), own.max(axis=0)
 
 
 def classes_in(scene: Scene) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ class Crops:
         given = [name for name, (crop, _) in crops.items() if crop is not None] + ["bins"] * (bins is not None)
         if given and measured is None:
             raise InputError(f"{given[0]}: the dataset has neither histograms nor transients to read a part of")
-        self.sizes = dict(zip(("laser", "pixel", "bin"), measured.shape, strict=True)) if measured else {}
+        self.sizes = dict(zip(("laser", "pixel", "bin"), measured.shape[-3:], strict=True)) if measured else {}
         merged = manifest.bins_merged
         if measured and measured.dims[-1] == "transient_bin":
             self.sizes["bin"] //= merged

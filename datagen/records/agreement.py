@@ -63,8 +63,8 @@ def light_agreement(own: NDArray[Any], due: NDArray[Any], light: float, claimed:
 
 
 def counts_in_spans(histogram: NDArray[Any]) -> Floats:
-    """(SPANS,) the counts of a histogram (L, P, T) in spans of time, equal but for a bin."""
-    over_time = histogram.sum(axis=(0, 1), dtype=np.float64)
+    """(SPANS,) the counts of histograms (…, T) in spans of time, equal but for a bin."""
+    over_time = histogram.sum(axis=tuple(range(histogram.ndim - 1)), dtype=np.float64)
     return np.array([span.sum() for span in np.array_split(over_time, SPANS)])
 
 

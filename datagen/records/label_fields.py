@@ -14,6 +14,8 @@ LabelName = Literal[
     "zone_depth",
 ]  # fmt: skip
 """The names that `store.fields` takes. Each stands for the arrays of all its rows in `LABEL_FIELDS`."""
+OverFrames = Literal["own", "same", "only"]
+"""Of a sequence each frame has a value of its `own`, all have the `same`; or `only` sequences have it, by frame."""
 Scale = Literal["linear", "from zero", "zero to one", "square root", "logarithmic", "about zero"]
 
 
@@ -43,10 +45,11 @@ class LabelField:
     label : the name in `store.fields` that asks for it.
     name : the name of the array.
     made_by : the module of `datagen` that makes it.
-    dims : names of its axes in one scene. `row`, `column` and the voxels are sized by the section `labels`, `object`
-        by the most objects that a scene can have.
+    dims : names of its axes in one scene, or in one frame of it. `row`, `column` and the voxels are sized by the
+        section `labels`, `object` by the most objects that a scene can have.
     dtype, unit, meaning : as they are stored; the meaning says which value stands for nothing.
     look : how it is drawn; None: not as an image.
+    over_frames : whether the frames of a sequence have values of their own, on a leading axis `frame`.
     """
 
     label: LabelName
@@ -57,6 +60,11 @@ class LabelField:
     unit: str
     meaning: str
     look: Look | None = None
+    over_frames: OverFrames = "own"
+
+    def dims_in(self, sequence: bool) -> tuple[str, ...]:
+        """Names of its axes in one scene of a dataset."""
+        return ("frame", *self.dims) if sequence and self.over_frames != "same" else self.dims
 
     @property
     def is_image(self) -> bool:
@@ -106,18 +114,26 @@ LABEL_FIELDS = (
                "distance to the nearest object surface, negative inside",
                Look("Least signed distance (m)", "RdBu", "about zero", along_depth="least")),
     LabelField("objects", "object_count", "labels.boxes", (), "int32", "1",
-               "number of objects; rows beyond it are fill"),
+               "number of objects; rows beyond it are fill", over_frames="same"),
     LabelField("objects", "object_class", "labels.boxes", ("object",), "int16", "1",
-               "class of the object, an index into this field's list of classes; -1: no object in this row"),
+               "class of the object, an index into this field's list of classes; -1: no object in this row",
+               over_frames="same"),
     LabelField("objects", "object_part", "labels.boxes", ("object",), "int16", "1",
-               "index of the object in the parameter scene.part_names, as in part_id; -1: no object"),
+               "index of the object in the parameter scene.part_names, as in part_id; -1: no object",
+               over_frames="same"),
     LabelField("objects", "object_box_center", "labels.boxes", ("object", "axis"), "float32", "m",
                f"middle of the object's box along the axes {_FRAME}; 0: no object"),
     LabelField("objects", "object_box_size", "labels.boxes", ("object", "axis"), "float32", "m",
-               "extent of the box along the object's own width, depth and height; 0: no object"),
+               "extent of the box along the object's own width, depth and height; 0: no object", over_frames="same"),
     LabelField("objects", "object_box_rotation", "labels.boxes", ("object", "axis", "own_axis"), "float32", "1",
                "columns: unit vectors of the object's own width, depth (its back at +) and height along the axes "
                f"{_FRAME}; 0: no object"),
+    LabelField("objects", "object_velocity", "labels.motion", ("object", "axis"), "float32", "m/s",
+               f"velocity of the middle of the object's box along the axes {_FRAME}; 0: it stands, or no object",
+               over_frames="only"),
+    LabelField("objects", "object_turning", "labels.motion", ("object", "axis"), "float32", "rad/s",
+               f"angular velocity of the object, a vector along the axes {_FRAME}; 0: it does not turn, or no object",
+               over_frames="only"),
     LabelField("objects", "object_detections", "evidence.own", ("object",), "float32", "counts",
                "expected detections of the object's own light of three bounces, over the scan; 0: no object"),
     LabelField("objects", "object_brightest_bin", "evidence.own", ("object",), "float32", "counts",
@@ -125,6 +141,15 @@ LABEL_FIELDS = (
     LabelField("objects", "object_significance", "evidence.own", ("object",), "float32", "1",
                "sqrt(sum s^2 / b) over all bins, s its expected detections, b all: standard deviations of an ideal "
                "matched filter; 0: no object"),
+    LabelField("objects", "object_change", "evidence.change", ("object",), "float32", "1",
+               "sqrt(sum d^2 / (b + b')) over all bins, d what the expected detections change by the object since "
+               "the frame before, b and b' all in both frames: standard deviations of an ideal matched filter on "
+               "their difference; d is of the object's own light, and of what it blocks if nothing else moves; 0: "
+               "it stands, the first frame, or no object",
+               over_frames="only"),
+    LabelField("objects", "object_change_floor", "evidence.change", ("object",), "float32", "1",
+               "the object_change that the error of the simulation alone would have; 0 as there",
+               over_frames="only"),
     LabelField("presence", "object_presence", "evidence.presence", ("object",), "float32", "1",
                "sqrt(sum s^2 / m) over all bins, s what the object adds to the expected detections, m those with or "
                "without it, whichever are more: standard deviations of an ideal matched filter; 0: no object"),

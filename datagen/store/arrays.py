@@ -14,12 +14,15 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from zarr.storage import MemoryStore
 
 from datagen.config.capture import TimeConfig
+from datagen.config.sequence import SequenceConfig
+from datagen.records import Clock
 from datagen.store.schema import Field, Schema
 
 GROUP = "data.zarr"
 BLOCK_BYTES = 2**18
 """Decoded bytes of a block of blosc, the smallest piece that a reader can decode: a block fits into a core's cache,
-and smaller ones compress less."""
+and smaller ones compress less. Of a sequence a block is one frame, so that some frames can be decoded without the
+others."""
 LEVEL = 1
 """Compression level of zstd. With blocks of this size level 5 saves 3 % of the disk and takes five times as long."""
 
@@ -29,18 +32,25 @@ def shard_file(field: Field, shard: int) -> str:
     return "/".join([GROUP, field.name, "c", str(shard), *["0"] * len(field.shape)])
 
 
-def metadata_files(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, bytes]:
+Axis = TimeConfig | SequenceConfig
+"""What says where the points of an axis lie: bins of arrival times, frames."""
+
+
+def metadata_files(schema: Schema, axes: Mapping[str, Axis]) -> dict[str, bytes]:
     """Path relative to the dataset → content, of every `zarr.json` of the group and of the files of its
     coordinates.
 
-    axes : name of an axis of time → its bins."""
+    axes : name of an axis of time → its bins, or its frames."""
     store = MemoryStore()
     geometry = " ".join(name for name, field in schema.by_name.items() if field.dtype == "float64")
     group = zarr.create_group(store, attributes={"coordinates": geometry})
     for field in schema.fields:
         _create(group, field, schema)
-    for name, time in axes.items():
-        _create_arrival_times(group, name, time)
+    for name, axis in axes.items():
+        if isinstance(axis, SequenceConfig):
+            _create_frame_times(group, name, axis)
+        else:
+            _create_arrival_times(group, name, axis)
     files = {key: store._store_dict[key].to_bytes() for key in sorted(store._store_dict)}
     return {f"{GROUP}/{key}": content for key, content in (files | _group_metadata(files)).items()}
 
@@ -61,7 +71,7 @@ def _group_metadata(files: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 def coordinates(axes: Iterable[str]) -> tuple[str, ...]:
-    """Files of the arrays of arrival times, each named as its axis, which makes it a coordinate for xarray."""
+    """Files of the arrays of times, each named as its axis, which makes it a coordinate for xarray."""
     return tuple(f"{GROUP}/{axis}/{file}" for axis in axes for file in ("zarr.json", "c/0"))
 
 
@@ -69,19 +79,38 @@ def _create_arrival_times(group: zarr.Group, axis: str, time: TimeConfig) -> Non
     """Create the coordinate of an axis: the arrival time of the middle of each bin, ps."""
     origin = "laser emission" if time.origin == "source" else "the laser point, without the legs of the device"
     middles = 1000.0 * time.start_ns + time.bin_width_ps * (np.arange(time.bins) + 0.5)
-    # Readers that turn units of time into dates do not know "ps", so the numbers stay numbers.
+    about = {"long_name": f"arrival time counted from {origin}: middle of the bin", "bin_width_ps": time.bin_width_ps}
+    _create_coordinate(group, axis, middles, {"units": "ps"} | about)
+
+
+def _create_frame_times(group: zarr.Group, axis: str, sequence: SequenceConfig) -> None:
+    """Create the coordinate of the frames: when each begins."""
+    starts = Clock(sequence.frames, sequence.rate_hz).starts_s
+    about = {"long_name": "when the frame begins, counted from the first one", "rate_hz": sequence.rate_hz}
+    _create_coordinate(group, axis, starts, {"units": "s"} | about)
+
+
+def _create_coordinate(
+    group: zarr.Group, axis: str, values: NDArray[np.floating[Any]], about: dict[str, Any]
+) -> None:
+    """Create an array named as its axis. Readers that turn units of time into dates do not know "ps" and "s" alone,
+    so the numbers stay numbers."""
     array = group.create_array(
-        axis, shape=middles.shape, dtype=np.float64, chunks=middles.shape, compressors=[Crc32cCodec()],
-        dimension_names=(axis,), fill_value=float("nan"),
-        attributes={"units": "ps", "long_name": f"arrival time counted from {origin}: middle of the bin"}
-        | {"bin_width_ps": time.bin_width_ps},
+        axis, shape=values.shape, dtype=np.float64, chunks=values.shape, compressors=[Crc32cCodec()],
+        dimension_names=(axis,), fill_value=float("nan"), attributes=about,
     )  # fmt: skip
-    array[:] = middles
+    array[:] = values
 
 
 def chunk_grid(field: Field) -> tuple[int, ...]:
     """The number of chunks along each axis of one scene's value of a sharded field."""
     return tuple(math.ceil(s / c) for c, s in zip(field.chunk, field.shape, strict=True))
+
+
+def block_bytes(field: Field) -> int:
+    """Decoded bytes of a block of a field: of one frame where chunks hold whole frames, else `BLOCK_BYTES`."""
+    is_whole = field.sharded and field.frame_bytes is not None and field.chunk[1:] == field.shape[1:]
+    return field.frame_bytes if is_whole and field.frame_bytes else BLOCK_BYTES
 
 
 def fill_of(field: Field) -> float | int:
@@ -111,7 +140,9 @@ def _create(group: zarr.Group, field: Field, schema: Schema) -> zarr.Array[Any]:
     # Low counts have mostly zero bits; bitshuffle puts these together. Floats have only their exponents in common,
     # and for those shuffling by bytes is enough.
     shuffle: Literal["shuffle", "bitshuffle"] = "shuffle" if dtype.kind == "f" else "bitshuffle"
-    blosc = BloscCodec(cname="zstd", clevel=LEVEL, shuffle=shuffle, typesize=dtype.itemsize, blocksize=BLOCK_BYTES)
+    blosc = BloscCodec(
+        cname="zstd", clevel=LEVEL, shuffle=shuffle, typesize=dtype.itemsize, blocksize=block_bytes(field)
+    )
     return group.create_array(
         field.name,
         shape=(schema.scenes, *field.shape),

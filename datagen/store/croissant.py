@@ -15,7 +15,7 @@ from datagen.store.description import Description
 from datagen.store.files import sha256_of
 from datagen.store.location import Location, opened
 from datagen.store.manifest import Manifest
-from datagen.store.schema import FORMAT, Field
+from datagen.store.schema import Field
 from datagen.store.table import COLUMNS, TABLE, parquet_file
 
 NO_LICENSE = "https://choosealicense.com/no-permission/"
@@ -81,7 +81,7 @@ def croissant(root: Location, dataset: Description) -> dict[str, Any]:
         "@context": _CONTEXT, "@type": "sc:Dataset", "conformsTo": "http://mlcommons.org/croissant/1.1",
         "name": name,
         "description": config["description"] or f"{what} non-line-of-sight single-photon measurements.",
-        "version": f"{FORMAT}.{manifest.schema.scenes}.0",
+        "version": f"{manifest.format}.{manifest.schema.scenes}.0",
         # A configuration has an address or a name of the SPDX list.
         "license": terms if "://" in terms else f"https://spdx.org/licenses/{terms}.html",
         "url": "https://doi.org/10.3390/s24206522", "citeAs": cite, "datePublished": made.date().isoformat(),

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, time_axes
+from datagen.config import DatasetConfig, SplitsConfig, config_from_mapping, stored_axes
 from datagen.config.capture import TimeConfig
 from datagen.config.dataset import MOST_SCENES
 from datagen.config.imported import ImportedFile
@@ -19,17 +19,19 @@ from datagen.config.scene_contents import MeshFolder, MeshItem
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError, shown
 from datagen.records import TimeAxis
-from datagen.store.arrays import GROUP, coordinates, metadata_files, shard_shape
+from datagen.records.clock import MOST_FRAMES
+from datagen.store.arrays import GROUP, Axis, coordinates, metadata_files, shard_shape
 from datagen.store.environment import STATED, made_with
 from datagen.store.files import is_intact, parsed, read_if_there, sealed
 from datagen.store.location import Location, location_of
 from datagen.store.record import Digest, recorded_shards
-from datagen.store.schema import FORMAT, Field, Schema, check_size, schema_of
+from datagen.store.schema import FORMAT, FORMAT_OF_SEQUENCES, Field, Schema, check_size, schema_of
 from datagen.store.stats import FieldStats
 from datagen.store.table import COLUMNS, TABLE
 
 MANIFEST = "dataset.json"
 REMEDY = "build the dataset again with its configuration, which writes it anew"
+_KNOWN = f"formats {FORMAT} and {FORMAT_OF_SEQUENCES}"
 _KEPT = ("stats", "config", "meshes", "mesh_folder", "metadata", "made_by", "fingerprint")
 """Fields of `Manifest` that the file contains unchanged."""
 
@@ -69,6 +71,17 @@ class Manifest:
     def seed(self) -> int:
         """The dataset seed."""
         return int(self.config["seed"])
+
+    @property
+    def format(self) -> int:
+        """Number of the stored format."""
+        return FORMAT if self.frames is None else FORMAT_OF_SEQUENCES
+
+    @property
+    def frames(self) -> int | None:
+        """Number of frames of each scene; None of scenes that are measured once."""
+        sequence = self.config.get("sequence")
+        return None if sequence is None else int(sequence["frames"])
 
     @property
     def bins_merged(self) -> int:
@@ -139,7 +152,7 @@ class Manifest:
     def to_bytes(self) -> bytes:
         """The content of `dataset.json`."""
         schema, config = self.schema, self.config
-        values: dict[str, Any] = {"format": FORMAT}
+        values: dict[str, Any] = {"format": self.format}
         values |= {key: config[key] for key in ("name", "description")} | {"seed": self.seed}
         values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
         values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
@@ -150,11 +163,11 @@ class Manifest:
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
     """The manifest of a new dataset."""
     values, meshes = config.model_dump(mode="json"), config.scene.mesh_digests()
-    metadata = metadata_hashes(schema, time_axes(config))
+    metadata = metadata_hashes(schema, stored_axes(config))
     return Manifest(values, meshes, mesh_folder(config), config.fingerprint(), schema, metadata, made_with())
 
 
-def metadata_hashes(schema: Schema, axes: Mapping[str, TimeConfig]) -> dict[str, str]:
+def metadata_hashes(schema: Schema, axes: Mapping[str, Axis]) -> dict[str, str]:
     """File of `metadata_files` → hex SHA-256."""
     return {name: hashlib.sha256(content).hexdigest() for name, content in metadata_files(schema, axes).items()}
 
@@ -189,14 +202,14 @@ def read_manifest(root: str | Location) -> Manifest:
     number = stated.get("format")
     if type(number) is not int:
         raise DamagedManifest(
-            f"{path}: is not the manifest of a datagen dataset (format = {shown(number)}, this datagen reads format "
-            f"{FORMAT}); name a folder that `datagen build` made"
+            f"{path}: is not the manifest of a datagen dataset (format = {shown(number)}, this datagen reads "
+            f"{_KNOWN}); name a folder that `datagen build` made"
         )
     if not is_intact(content):
         raise DamagedManifest(f"{path}: has changed since it was written (its checksum differs); {REMEDY}")
-    if number != FORMAT:
+    if number not in (FORMAT, FORMAT_OF_SEQUENCES):
         raise InputError(
-            f"{path}: format = {number}, this datagen reads format {FORMAT}; use the version of datagen that made it"
+            f"{path}: format = {number}, this datagen reads {_KNOWN}; use the version of datagen that made it"
         )
     try:
         manifest = _manifest_of(parsed(path, content, _File), stated)
@@ -243,6 +256,11 @@ class _Scene:
 
 
 @dataclass(frozen=True)
+class _Sequence:
+    frames: Annotated[int, pydantic.Field(ge=2, le=MOST_FRAMES)]
+
+
+@dataclass(frozen=True)
 class _Config:
     """The keys of a stored configuration that are read without parsing all of it."""
 
@@ -254,12 +272,14 @@ class _Config:
     detector: _Detector
     splits: dict[str, Any]
     license: str
+    sequence: _Sequence | None = None
 
 
 @dataclass(frozen=True)
 class _File:
     """The keys of `dataset.json` that are used."""
 
+    format: int
     scenes: Annotated[int, pydantic.Field(ge=1, le=MOST_SCENES)]
     scenes_per_shard: Literal[1, 2, 4, 8, 16, 32, 64, 128, 256]
     fingerprint: Digest
@@ -288,7 +308,14 @@ def _manifest_of(file: _File, stated: dict[str, Any]) -> Manifest:
         if _field_row(field, schema) != row:
             raise InputError(f"field {field.name}: is cut into other chunks than datagen cuts it")
     due = {f"{GROUP}/zarr.json", *(f"{GROUP}/{field.name}/zarr.json" for field in fields)}
-    axes = ("bin", "transient_bin") if file.config.detector.bins_merged > 1 else ("bin",)
+    axes = ["bin", "transient_bin"] if file.config.detector.bins_merged > 1 else ["bin"]
+    frames = None if file.config.sequence is None else file.config.sequence.frames
+    if file.format != (FORMAT if frames is None else FORMAT_OF_SEQUENCES):
+        raise InputError(f"format = {file.format} with {'no' if frames is None else 'a'} sequence in its settings")
+    sizes = {field.shape[k] for field in fields for k, name in enumerate(field.dims[1:]) if name == "frame"}
+    if sizes - {frames} or any("frame" in field.dims[2:] for field in fields):
+        raise InputError("fields: their frames are not those of its settings")
+    axes += [] if frames is None else ["frame"]
     if set(file.metadata) != due | set(coordinates(axes)):
         raise InputError("metadata: other files than its fields have")
     if not set(file.made_by) >= STATED:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from datagen._version import __version__
-from datagen.config import DatasetConfig, time_axes
+from datagen.config import DatasetConfig, stored_axes
 from datagen.config.dataset import WITHOUT_EFFECT
 from datagen.errors import InputError
 from datagen.locks import alone_in
@@ -62,7 +62,7 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
         if restored is None:
             raise
         manifest = restored
-    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *coordinates(time_axes(config))]
+    files = [*WHEN_COMPLETE, "README.md", MANIFEST, BUILD, *coordinates(stored_axes(config))]
     files += [f"{GROUP}/{field.name}/{below}" for field in manifest.schema.fields for below in ("zarr.json", "c")]
     for name in files:
         own_path(root, name)
@@ -106,7 +106,7 @@ def _prepared(root: Path, config: DatasetConfig) -> Manifest:
     if is_new and not write_first(root / MANIFEST, content):
         return _prepared(root, config)
     write_if_changed(home / MANIFEST, content)
-    for name, metadata in metadata_files(manifest.schema, time_axes(config)).items():
+    for name, metadata in metadata_files(manifest.schema, stored_axes(config)).items():
         if not (is_growing and holds(root / name, metadata)):
             (home / name).parent.mkdir(parents=True, exist_ok=True)
             write_if_changed(home / name, metadata)
@@ -204,7 +204,7 @@ def _resumed(root: Path, config: DatasetConfig) -> Manifest:
             f"growth, or for {old.schema.scenes}, which is complete"
         )
     schema = schema_of(config, old.schema.scenes_per_shard)
-    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, time_axes(config))
+    values, metadata = config.model_dump(mode="json"), metadata_hashes(schema, stored_axes(config))
     stats = old.stats if (schema, values) == (old.schema, old.config) else None
     return replace(old, config=values, mesh_folder=mesh_folder(config), schema=schema, metadata=metadata, stats=stats)
 
@@ -223,6 +223,8 @@ def _check_same(root: Path, old: Manifest, config: DatasetConfig) -> None:
     if config.fingerprint() == old.fingerprint:
         return
     new = config.model_dump(mode="json", exclude={*WITHOUT_EFFECT})
+    # A setting that is left out where it is not set.
+    new.setdefault("sequence", _MISSING)
     for key, was, now in _differences(old.config, new):
         raise InputError(
             f"output {root}: holds a dataset made with {key} = {was}, this configuration has {now}; "

@@ -18,9 +18,10 @@ from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records.label_fields import LABEL_FIELDS
 
-FORMAT = 1
-"""Number of the stored format. It rises when the bytes of a file or the meaning of a field change, not when a field
-is added, nor when a seed gives other light: `made_by` in `dataset.json` has the version of datagen for that."""
+FORMAT, FORMAT_OF_SEQUENCES = 1, 2
+"""Numbers of the stored format: of scenes that are measured once, and of sequences, whose fields have an axis
+`frame`. A number rises when the bytes of a file or the meaning of a field change, not when a field is added, nor when
+a seed gives other light: `made_by` in `dataset.json` has the version of datagen for that."""
 CHUNK_BYTES = 4 * 2**20
 """Largest raw size of a chunk; a scene with more is cut, first along `laser`. Smaller chunks take more requests to an
 object store; the time to read from a disk does not depend on it."""
@@ -31,8 +32,8 @@ LARGEST_CHUNK_BYTES = 2**31 - 17
 LARGEST_SCENE_BYTES = 2**34
 """Largest raw size of one field of a scene: a worker's memory could not hold more."""
 
-_MEASURED = ("scene", "laser", "pixel", "bin")
-_LIGHT = ("scene", "laser", "pixel", "transient_bin")
+_MEASURED = ("laser", "pixel", "bin")
+_LIGHT = ("laser", "pixel", "transient_bin")
 """Axes of a transient whose bins the sensor merges (`detector.bins_merged`), so that a histogram has fewer."""
 
 
@@ -40,7 +41,8 @@ _LIGHT = ("scene", "laser", "pixel", "transient_bin")
 class Field:
     """One array of a dataset.
 
-    dims : dimension names; the first is `scene`. A name has the same size in all fields of a dataset.
+    dims : dimension names; the first is `scene`, of what differs from frame to frame the second `frame`. A name has
+        the same size in all fields of a dataset.
     shape : the shape of one scene's value, without the scene axis.
     sharded : whether each scene has chunks of its own, in shards of K scenes (large fields), or a chunk holds K
         scenes (small fields).
@@ -62,11 +64,16 @@ class Field:
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
     @property
+    def frame_bytes(self) -> int | None:
+        """Raw bytes of one frame; None for a field that does not differ from frame to frame."""
+        return self.bytes_per_scene // self.shape[0] if self.dims[1:2] == ("frame",) else None
+
+    @property
     def chunk(self) -> tuple[int, ...]:
         """The shape of the part of one scene that is compressed, and read, as a whole.
 
-        The leading axes are cut until a chunk has at most `CHUNK_BYTES`. The last axis (time, or an image row) is
-        never cut.
+        The leading axes are cut, of a sequence between frames first, until a chunk has at most `CHUNK_BYTES`. The
+        last axis (time, or an image row) is never cut.
         """
         cut = list(self.shape)
         for axis in range(len(cut) - 1):
@@ -112,24 +119,14 @@ def schema_of(config: DatasetConfig, scenes_per_shard: int | None = None) -> Sch
 
     scenes_per_shard : that of an existing dataset, which keeps it.
 
-    Raises `InputError` if one time series is larger than a chunk can be, and for sequences.
+    Raises `InputError` if one time series is larger than a chunk can be.
     """
-    check_one_frame(config)
     fields = _measured_fields(config) + _label_fields(config) + _small_fields(config)
     if scenes_per_shard is None:
         scenes_per_shard = config.store.scenes_per_shard or _scenes_per_shard(fields, config.scenes)
     for field in fields:
         check_size(field, scenes_per_shard)
     return Schema(fields, config.scenes, scenes_per_shard)
-
-
-def check_one_frame(config: DatasetConfig) -> None:
-    """Raise `InputError` for scenes of several frames, which datasets cannot hold yet."""
-    if config.sequence is not None:
-        raise InputError(
-            f"sequence.frames = {config.sequence.frames}: datasets of sequences cannot be made yet; leave sequence "
-            "and motion out, or take the room of a time, dg.scene_for(config, index).at(time_s)"
-        )
 
 
 def check_size(field: Field, scenes_per_shard: int) -> None:
@@ -163,19 +160,21 @@ def _scenes_per_shard(fields: tuple[Field, ...], scenes: int) -> int:
 
 def _measured_fields(config: DatasetConfig) -> tuple[Field, ...]:
     """The measurements that the configuration stores."""
-    measured, light = config.histogram_shape, config.capture.shape
-    of_light = _MEASURED if measured == light else _LIGHT
+    before, frames = (("scene",), ()) if config.sequence is None else (("scene", "frame"), (config.sequence.frames,))
+    measured, light = (*frames, *config.histogram_shape), (*frames, *config.capture.shape)
+    counted = (*before, *_MEASURED)
+    of_light = counted if measured == light else (*before, *_LIGHT)
     imported = isinstance(config.scene.layout, ImportedCaptures)
     photons = "as in the file" if imported else "photons at the aperture per emitted photon"
     known = (
-        Field("histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
+        Field("histogram", counted, measured, config.store.histogram_dtype, "counts",
               "photons detected over the exposure"),
         Field("transient", of_light, light, "float32", photons,
               "signal over time, as the file has it" if imported else
               "expected impulse response of the scene, before the detector"),
         Field("transient_stderr", of_light, light, "float32", photons,
               "standard error of the transient from independent replicates; NaN when there was only one"),
-        Field("background_histogram", _MEASURED, measured, config.store.histogram_dtype, "counts",
+        Field("background_histogram", counted, measured, config.store.histogram_dtype, "counts",
               "photons detected over an exposure of the same room without its objects, with noise of its own"),
         Field("background_transient", of_light, light, "float32", photons,
               "expected impulse response of the same room without its objects"),
@@ -188,18 +187,21 @@ def _label_fields(config: DatasetConfig) -> tuple[Field, ...]:
     classes, voxels = config.scene.object_classes(), config.labels.voxels
     if "objects" in config.store.fields and len(classes) > np.iinfo(np.int16).max:
         raise InputError(f"store.fields: 'objects' can number 32767 classes, scene.contents has {len(classes)}")
+    is_sequence = config.sequence is not None
     sizes = {
+        "frame": 1 if config.sequence is None else config.sequence.frames,
         "row": config.labels.rows, "column": config.labels.columns, "axis": 3, "own_axis": 3,
         "voxel_depth": voxels[0], "voxel_row": voxels[1], "voxel_column": voxels[2],
         "object": config.scene.most_objects(), "sensor_pixel": _all_pixels(config),
     }  # fmt: skip
     return tuple(
         Field(
-            of.name, ("scene", *of.dims), tuple(sizes[name] for name in of.dims), of.dtype, of.unit, of.meaning,
-            sharded=of.is_image or of.is_volume, classes=classes if of.name == "object_class" else (),
+            of.name, ("scene", *of.dims_in(is_sequence)), tuple(sizes[name] for name in of.dims_in(is_sequence)),
+            of.dtype, of.unit, of.meaning, sharded=of.is_image or of.is_volume,
+            classes=classes if of.name == "object_class" else (),
         )
         for of in LABEL_FIELDS
-        if of.label in config.store.fields
+        if of.label in config.store.fields and (is_sequence or of.over_frames != "only")
     )  # fmt: skip
 
 
@@ -241,7 +243,14 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
         ("hidden_bounds", ("scene", "bound", "axis"), (2, 3),
          "two opposite corners of the box that holds the hidden part; NaN when unknown"),
     )  # fmt: skip
-    return tuple(
+    fields = tuple(
         Field(name, dims, shape, "float64", "1" if name.endswith("normals") else "m", text, sharded=False)
         for name, dims, shape, text in small
     )
+    if config.sequence is None:
+        return fields
+    times = Field(
+        "laser_time", ("scene", "frame", "laser"), (config.sequence.frames, config.capture.shape[0]), "float64", "s",
+        "middle of the exposure of each laser point, since the first frame began", sharded=False,
+    )  # fmt: skip
+    return (*fields, times)

@@ -72,6 +72,11 @@ def _evidence(kind: str, sigma: Floats) -> KindEvidence:
     return KindEvidence(kind, len(sigma), float(np.median(sigma)), under_3, under_1, factor)
 
 
+CLIPPED = 1e-3
+"""Share of the light that moving parts block which may be clipped without a warning: its shadow is known to no
+better than some per cent."""
+
+
 def missed_lines(parameters: Columns) -> list[str]:
     """A line on the scenes whose light arrives outside of the time axis, and what to change; none if there are
     none."""
@@ -83,6 +88,19 @@ def missed_lines(parameters: Columns) -> list[str]:
         f"in {missed} of {len(share)} scenes {MISSED:.0%} of the light or more arrives outside of the time axis; "
         "bring the device nearer (at_objects.distance_m, layout.relay_distance_m), or take more or wider bins "
         "(capture.time)"
+    ]
+
+
+def clipped_lines(parameters: Columns) -> list[str]:
+    """A line on the sequences whose light is below 0 where moving parts block it, by more than what may be clipped
+    unnoticed; none if there are none."""
+    share = parameters.numbers("transient.clipped")
+    beyond = int((share > CLIPPED).sum())
+    if not beyond:
+        return []
+    return [
+        f"in {beyond} of {len(share)} sequences light below 0 was clipped when counts were drawn, up to "
+        f"{share.max():.2g} of what moving parts block (transient.clipped); lower transport.target"
     ]
 
 

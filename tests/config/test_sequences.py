@@ -11,7 +11,7 @@ from jsonschema import Draft202012Validator
 
 import datagen as dg
 from datagen.cli import run
-from datagen.config import DatasetConfig, config_from_mapping, fingerprint_of, json_schema
+from datagen.config import config_from_mapping, fingerprint_of, json_schema
 from datagen.config.detector import USUAL_REPETITION_RATE_HZ
 from datagen.errors import InputError
 
@@ -124,20 +124,20 @@ def test_the_exposure_is_that_of_the_detector() -> None:
 
 
 @pytest.mark.parametrize("command", [["build", "{config}", "{out}"], ["plan", "{config}"]])
-def test_sequences_are_refused_before_anything_is_made(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        ({"detector_class": "consumer_dtof", "cycles": 10**6}, "sequence.rate_hz = 10: a frame lasts 100 ms"),
+        ({"cycles": 20, "mode": "free_running"}, "detector.cycles = 20: in a sequence exposures of 2 µs"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_anything_is_made(
+    command: list[str], detector: dict[str, Any], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As long as datasets hold no frames."""
+    """Of an exposure that is drawn it shows when it is drawn."""
     config, out = tmp_path / "walks.yaml", tmp_path / "out.zarr"
-    config.write_text(json.dumps(moving({"kind": "walk"})))
+    config.write_text(json.dumps({**moving({"kind": "walk"}), "detector": detector, "scenes": 2}))
     assert run([part.format(config=config, out=out) for part in command]) == 2
     said = capsys.readouterr()
-    line = said.err.strip().splitlines()[-1]
-    assert "sequence.frames = 16: datasets of sequences cannot be made yet" in line and not said.out
+    assert words in said.err.strip().splitlines()[-1] and not said.out
     assert not out.exists()
-
-
-def test_sequences_are_not_generated_either() -> None:
-    config: DatasetConfig = config_from_mapping(moving({"kind": "walk"}))
-    with pytest.raises(InputError, match="datasets of sequences cannot be made yet"):
-        dg.GeneratedDataset(config)

@@ -26,7 +26,7 @@ def test_every_name_of_the_configuration_has_rows_and_every_row_a_name() -> None
 def test_labels_are_made_as_the_table_says() -> None:
     config = LabelsConfig(rows=4, columns=5, voxels=(2, 3, 4))
     made = make_labels(config, l_corridor(), MADE_HERE)
-    rows = {of.name: of for of in LABEL_FIELDS if of.made_by.startswith("labels.")}
+    rows = {of.name: of for of in LABEL_FIELDS if of.made_by.startswith("labels.") and of.over_frames != "only"}
     assert set(made) == set(rows)
     sizes = {"row": 4, "column": 5, "axis": 3, "own_axis": 3, "voxel_depth": 2, "voxel_row": 3, "voxel_column": 4,
              "object": 2}  # fmt: skip
@@ -36,12 +36,18 @@ def test_labels_are_made_as_the_table_says() -> None:
 
 
 def test_the_schema_has_every_row_of_the_labels_asked_for() -> None:
-    config = config_from_mapping({"store": {"fields": ["histogram", *get_args(LabelName)]}})
-    fields = schema_of(config).by_name
-    for of in LABEL_FIELDS:
-        field = fields[of.name]
-        assert field.dims == ("scene", *of.dims) and (field.dtype, field.unit) == (of.dtype, of.unit)
-        assert encoded(field, np.zeros(field.shape, of.dtype)).dtype == np.dtype(of.dtype)
+    values = {"store": {"fields": ["histogram", *get_args(LabelName)]}, "detector": {"cycles": 3000}}
+    for sequence in (False, True):
+        config = config_from_mapping({**values, **({"sequence": {"frames": 4, "rate_hz": 10}} if sequence else {})})
+        fields = schema_of(config).by_name
+        for of in LABEL_FIELDS:
+            assert (of.name in fields) == (sequence or of.over_frames != "only")
+            if (field := fields.get(of.name)) is None:
+                continue
+            frame = ("frame",) if sequence and of.over_frames != "same" else ()
+            assert field.dims == ("scene", *frame, *of.dims) and field.shape[: len(frame)] == (4,) * len(frame)
+            assert (field.dtype, field.unit) == (of.dtype, of.unit)
+            assert encoded(field, np.zeros(field.shape, of.dtype)).dtype == np.dtype(of.dtype)
     assert {name for name, of in drawn().items() if of.is_image or of.is_volume} == set(drawn())
 
 

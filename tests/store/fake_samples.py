@@ -38,6 +38,12 @@ def noisy_config(**detector: Any) -> DatasetConfig:
     return small_config(detector={"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100} | detector)
 
 
+def sequence_config(**changes: object) -> DatasetConfig:
+    """`small_config` of sequences of three frames."""
+    detector = {"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100}
+    return small_config(**{"sequence": {"frames": 3, "rate_hz": 10}, "detector": detector} | changes)
+
+
 def large_config() -> DatasetConfig:
     """`small_config` with 4096 bins: a shard of transients is larger than any other file."""
     return small_config(capture={"scan": {"rows": 2, "columns": 2}, "time": {"bins": 4096}})

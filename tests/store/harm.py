@@ -15,10 +15,11 @@ from pathlib import Path
 import kills
 import pytest
 from damage import COLUMNS, HARMS, damaged, files_of, harmed, read, sample, small_dataset, told
-from fake_samples import build_fakes, fails_at_5, small_config
+from fake_samples import build_fakes, fails_at_5, sequence_config, small_config
 from here_and_now import one_worker_here
 
 from datagen.building.build import build
+from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.store import committed, read_manifest, verify
 from datagen.store.info import info
@@ -27,6 +28,8 @@ from datagen.store.verify import dataset_digest
 
 SHORT = small_config(scenes=6, store={"fields": ["histogram"], "scenes_per_shard": 4})
 """The configuration of the builds that are killed at every step."""
+SHORT_SEQUENCES = sequence_config(scenes=6, store={"fields": ["histogram"], "scenes_per_shard": 4})
+"""The same of sequences."""
 MEMORIES = (0, 2**28)
 """Memory of a reader in bytes. With 0 every field is read from files, with more all fields stay in memory."""
 CORRUPTED = {
@@ -36,7 +39,7 @@ CORRUPTED = {
     "croissant.json": "croissant.json",
     "README.md": "README.md",
     "zarr.json": "data.zarr/**/zarr.json",
-    "coordinate": "data.zarr/bin/c/*",
+    "coordinate": "data.zarr/[bf]*/c/*",
     "sharded field": "data.zarr/[hd]*/c/*/**/*",
     "small field": "data.zarr/[lor]*/c/*/**/*",
 }
@@ -96,18 +99,18 @@ def _of_whole(due: Path) -> tuple[str, dict[str, bytes]]:
     return dataset_digest(due), read(due, 0, ("histogram",))
 
 
-def kills_between_steps(number: int | None, folder: Path, mending: bool) -> Outcome:
+def kills_between_steps(number: int | None, folder: Path, mending: bool, config: DatasetConfig = SHORT) -> Outcome:
     """A build, or (`mending`) one that tries a scene anew, makes a damaged shard again and restores dataset.json,
     is gone at so many of its steps, spread evenly, or at every one."""
     due, harmed_one, outcome = folder / "due", folder / "harmed", Outcome()
-    build_fakes(SHORT, due)
+    build_fakes(config, due)
     if mending:
         with suppress(CheckError):
-            build(SHORT, harmed_one, progress=False, sample_function=fails_at_5)
+            build(config, harmed_one, progress=False, sample_function=fails_at_5)
         (harmed_one / "dataset.json").unlink()
-        (harmed_one / "data.zarr/histogram/c/0/0/0/0").write_bytes(b"")
+        next(path for path in (harmed_one / "data.zarr/histogram/c/0").rglob("0") if path.is_file()).write_bytes(b"")
     root = folder / "set"
-    resume = partial(build_fakes, SHORT, root)
+    resume = partial(build_fakes, config, root)
 
     def afresh() -> None:
         shutil.rmtree(root, ignore_errors=True)
@@ -139,10 +142,11 @@ def kills_of_processes(what: str, number: int, folder: Path, rng: random.Random)
     return outcome
 
 
-def corruptions(kind: str, number: int, folder: Path, rng: random.Random) -> Outcome:
-    """Files of a kind of `CORRUPTED` harmed one at a time: verified, loaded in both sizes, and built again."""
+def corruptions(kind: str, number: int, folder: Path, rng: random.Random, frames: int | None = None) -> Outcome:
+    """Files of a kind of `CORRUPTED` harmed one at a time: verified, loaded in both sizes, and built again. frames :
+    of each scene, if they are sequences."""
     root, outcome = folder / "set", Outcome()
-    config = small_dataset(root)
+    config = small_dataset(root, frames)
     digest, expected, table = dataset_digest(root), read(root, 0), read_table(root, COLUMNS, 5).to_pydict()
     names = [name for name in files_of(root) if (root / name) in set(root.glob(CORRUPTED[kind]))]
     assert names, f"no {kind} in {files_of(root)}"

@@ -30,6 +30,16 @@ def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, mending: boo
     check(harm.kills_between_steps(number, tmp_path, mending), number or 50)
 
 
+@pytest.mark.parametrize("mending", [False, True])
+def test_a_kill_of_a_build_of_sequences_loses_nothing(tmp_path: Path, mending: bool) -> None:
+    check(harm.kills_between_steps(3, tmp_path, mending, harm.SHORT_SEQUENCES), 3)
+
+
+@pytest.mark.parametrize("kind", harm.CORRUPTED)
+def test_no_corruption_of_a_sequence_is_silent_or_lasts(tmp_path: Path, kind: str) -> None:
+    check(harm.corruptions(kind, 1, tmp_path, random.Random(kind), frames=3), 1)
+
+
 @pytest.mark.parametrize("kind", ["dataset.json", "commit record", "README.md", "zarr.json", "sharded field"])
 def test_no_corruption_is_silent_or_lasts(tmp_path: Path, kind: str) -> None:
     check(harm.corruptions(kind, 1, tmp_path, random.Random(kind)), 1)
