@@ -19,7 +19,7 @@ from datagen.store.columns import Columns
 from datagen.store.environment import cores, made_with
 from datagen.store.files import json_bytes, write_atomically
 from datagen.store.info import effect_lines, heading
-from datagen.store.summaries import effects_of, evidence_lines, missed_lines
+from datagen.store.summaries import change_lines, effects_of, evidence_lines, missed_lines
 
 
 def plan(
@@ -71,10 +71,14 @@ def _configured(config: DatasetConfig) -> Iterator[str]:
     goal = config.detector.found_for
     yield f"scenes       {config.scenes}, seed {config.seed}"
     yield f"capture      {config.capture.pairing}, {lit} × {_count(pixels, 'pixel')} × {axis}{named}"
+    if config.sequence is not None:
+        of = config.sequence
+        yield f"sequence     {of.frames} frames each, {of.rate_hz:g} a second, laser points in the order {of.order}"
     yield f"transport    {how}, {bounces}"
     yield f"detector     {config.detector.mode}{kind}"
     if goal is not None:
-        share = f"{1 - goal.quantile:.0%} of the objects of pilot scenes have {goal.evidence:g} σ"
+        what = "objects" if goal.change is None else "changes by objects"
+        share = f"{1 - goal.quantile:.0%} of the {what} of pilot scenes have {goal.least:g} σ"
         yield f"exposure     {config.detector.cycles:g} cycles, with which {share}"
 
 
@@ -106,6 +110,8 @@ def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
     for number, line in enumerate(evidence_lines(found.evidence)):
         yield f"  {'' if number else 'evidence':11}{line}"
     parameters = found.pilots.parameters
+    for number, line in enumerate(change_lines(Columns(parameters))):
+        yield f"  {'' if number else 'change':11}{line}"
     effects = effect_lines(Columns(parameters), Columns(map(effects_of, parameters)))
     yield from (f"  {line}" for line in effects)
 

@@ -123,6 +123,15 @@ class DatasetConfig(Settings):
         self._check_sequence()
 
     def _check_sequence(self) -> None:
+        goals = ("exposure_for", self.detector.exposure_for), ("found_for", self.detector.found_for)
+        for key, goal in goals:
+            if goal is None or goal.change is None:
+                continue
+            if self.sequence is None or not any(item.motion is not None for item in self.scene.contents):
+                raise ValueError(
+                    f"detector.{key}.change: nothing changes without sequence and a motion of one of scene.contents; "
+                    "give both, or ask for evidence"
+                )
         if self.sequence is None:
             for i, item in enumerate(self.scene.contents):
                 if item.motion is not None:

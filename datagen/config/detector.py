@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from datagen.config.base import Settings
+from datagen.config.base import Settings, without_unset
 from datagen.config.device import DeviceConfig
 from datagen.config.distributions import Distribution, Fraction, NotNegative, support, within
 from datagen.config.tdc_edges import MeasuredEdges
@@ -36,12 +36,34 @@ class GateConfig(Settings):
 class ExposureFor(Settings):
     """How significant objects must be in the data: the exposure is the shortest with which they are."""
 
-    evidence: Annotated[float, Field(gt=0, le=1e6)]
+    evidence: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """Significance of an object's own light, standard deviations of a matched filter."""
+    change: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """In place of `evidence`, of a sequence: significance of the change from one frame to the next by an object that
+    moves."""
     quantile: Annotated[float, Field(ge=0, lt=1)] = 0.5
     """Share of the objects that may have less: with 0.5 half of the objects reach it, with 0.1 nine in ten."""
     longest_s: Annotated[float, Field(gt=0, le=1e6)] = 10.0
-    """Longest exposure of one histogram, seconds; where it is not enough, the configuration is refused."""
+    """Longest exposure of one histogram, seconds; where it is not enough, the configuration is refused. Of a sequence
+    all exposures of a frame must fit into it, too."""
+
+    @model_serializer(mode="wrap")
+    def _plain(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return without_unset(self, plain, "evidence", "change")
+
+    def _check(self) -> None:
+        if (self.evidence is None) == (self.change is None):
+            raise ValueError("evidence, change: one of them is needed, such as evidence: 5")
+
+    @property
+    def of(self) -> str:
+        """Name of what is asked for."""
+        return "evidence" if self.change is None else "change"
+
+    @property
+    def least(self) -> float:
+        """The significance that is asked for."""
+        return float(self.evidence if self.change is None else self.change)  # type: ignore[arg-type]
 
 
 class MeasuredPulse(Settings):

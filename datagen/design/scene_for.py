@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from statistics import median
 
 from datagen.capture import capture_for
 from datagen.config import DatasetConfig
 from datagen.design.light import estimated_evidence
 from datagen.detector import detector_for
-from datagen.records import Scene
+from datagen.records import Clock, Scene
 from datagen.records.checks import check_kind
 from datagen.scene import generate_scene
 
@@ -22,7 +23,8 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
 
     This is `generate_scene(config.scene, config.seed, index)`, with `clock=config.clock` for a sequence, unless
     `contents` ask for `evidence_at_least`. Then the
-    objects are placed anew until a quick estimate, with the scene's capture and detector, gives each of them as much.
+    objects are placed anew until a quick estimate, with the scene's capture and detector, gives each of them as much;
+    of a sequence in the median of its beginning, middle and end.
     The scene's parameter `evidence.placed_anew` says how often they were.
 
     Raises
@@ -42,10 +44,24 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     def object_without_evidence(scene: Scene, least: Mapping[str, float]) -> str | None:
         capture = capture_for(config, scene, config.seed, index)
         spad, exposure = detector_for(config.detector, config.seed, index, capture.time)
-        evidence = estimated_evidence(config, index, scene, capture, spad, exposure)
-        return next((name for name in least if evidence[name].significance < MARGIN * least[name]), None)
+        every = [
+            estimated_evidence(config, index, one, capture, spad, exposure) for one in _moments(scene, config.clock)
+        ]
+
+        def significance(name: str) -> float:
+            return median(evidence[name].significance for evidence in every)
+
+        return next((name for name in least if significance(name) < MARGIN * least[name]), None)
 
     return generate_scene(config.scene, config.seed, index, object_without_evidence, config.clock)
+
+
+def _moments(scene: Scene, clock: Clock | None) -> list[Scene]:
+    """The scene as it stands when evidence is estimated: once, or, where things move, at the beginning, in the middle
+    and at the end of the sequence."""
+    if clock is None or not scene.moving:
+        return [scene]
+    return [scene.at(share * clock.duration_s) for share in (0.0, 0.5, 1.0)]
 
 
 def without_floors(config: DatasetConfig) -> DatasetConfig:

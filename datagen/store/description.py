@@ -19,7 +19,14 @@ from datagen.store.record import SceneRecord, ShardRecord, scenes_made
 from datagen.store.schema import Field
 from datagen.store.splits import Dealing
 from datagen.store.stats import QUANTITIES
-from datagen.store.summaries import effects_of, evidence_by_kind, evidence_lines, label_place_line, placed_anew_lines
+from datagen.store.summaries import (
+    change_lines,
+    effects_of,
+    evidence_by_kind,
+    evidence_lines,
+    label_place_line,
+    placed_anew_lines,
+)
 from datagen.store.table import Rows, stats_by_split
 
 _SIMULATED = (
@@ -128,8 +135,10 @@ class Description:
         return label_place_line(self.parameters)
 
     def evidence(self) -> list[str]:
-        """Lines on the significance of the objects of each kind, and on objects that were placed anew."""
-        return [*evidence_lines(evidence_by_kind(self.parameters)), *placed_anew_lines(self.parameters)]
+        """Lines on the significance of the objects of each kind, on the changes by those that move, and on objects
+        that were placed anew."""
+        lines = [*evidence_lines(evidence_by_kind(self.parameters)), *change_lines(self.parameters)]
+        return [*lines, *placed_anew_lines(self.parameters)]
 
     @cached_property
     def splits(self) -> list[str | None]:

@@ -30,6 +30,9 @@ MISSED = 0.9
 SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 """Name of the parameter that has the significance of an object's own light."""
 
+CHANGE = re.compile(r"evidence\.(.+)\.(change|change_floor)")
+"""Names of the parameters that have the change from frame to frame by an object, and its floor."""
+
 
 @dataclass(frozen=True)
 class KindEvidence:
@@ -113,6 +116,24 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
             times = f"{k.exposure_factor:.2g} × the exposure" if k.exposure_factor < 1e6 else "no exposure"
             line += f"; {times} would bring {SHARE:.0%} over"
         lines.append(line)
+    return lines
+
+
+def change_lines(parameters: Columns) -> list[str]:
+    """A line for each kind of object that moves: the change from frame to frame by it, and how well that is known."""
+    found: dict[str, dict[str, list[Floats]]] = {}
+    for name, column in parameters.items():
+        match = CHANGE.fullmatch(name)
+        if match and not column.is_text:
+            kind = re.sub(r"_\d+$", "", match[1])
+            found.setdefault(kind, {}).setdefault(match[2], []).append(column.numbers)
+    lines = []
+    for kind, of in sorted(found.items()):
+        change, floor = (np.concatenate(of[key]) for key in ("change", "change_floor"))
+        lines.append(
+            f"{kind}: from frame to frame {np.median(change):.2g} σ in the median of {len(change)}, of which errors "
+            f"of the simulation may make {np.median(floor):.2g} σ"
+        )
     return lines
 
 

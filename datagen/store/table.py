@@ -34,6 +34,7 @@ COLUMNS = {
     "transient.relative_error": "relative L2 error of the sample's transient: an estimate, no bound; docs/physics.md",
     "evidence.PART.detections, .brightest_bin, .significance": "of an object's own light; docs/physics.md",
     "evidence.PART.presence, .presence_detections, .presence_floor": "of the scene with against without it",
+    "evidence.PART.change, .change_floor": "of the change from frame to frame by an object that moves",
     "evidence.weakest": "the least significance of any object of the scene; null where there is none",
     "evidence.placed_anew": "how often objects were placed anew until they had the evidence asked for; else absent",
     "stats.FIELD.mean, .std, .nonzero": "of the sample's values of a field; of a histogram's log(1 + counts)",

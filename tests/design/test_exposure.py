@@ -14,6 +14,7 @@ import datagen as dg
 from datagen.design import exposure
 from datagen.design.light import estimated_evidence
 from datagen.detector import detector_for
+from datagen.pipeline import simulate_sample
 from datagen.report.contact_sheet import first_scenes
 from datagen.store import read_manifest
 
@@ -106,6 +107,53 @@ def test_scenes_on_the_fly_are_those_of_the_dataset(tmp_path: Path) -> None:
     # A contact sheet finds the exposure first, too.
     ((found, _),) = first_scenes([config], 1)
     assert np.array_equal(dg.scene_for(found, 0).vertices, dg.scene_for(dg.with_exposure_found(config), 0).vertices)
+
+
+WALK = {"kind": "walk", "speed_m_s": 1.0}
+MOVING: dict[str, Any] = {"contents": [{"kind": "box", "motion": WALK}], "sequence": {"frames": 6, "rate_hz": 2}}
+
+
+def changes(config: dg.DatasetConfig, scenes: int) -> np.ndarray:
+    """Changes by the objects of some sequences that move, as they are stored."""
+    every = [simulate_sample(config, index).parameters for index in range(scenes)]
+    return np.array([value for of in every for name, value in of.items() if name.endswith(".change")], float)
+
+
+@pytest.mark.parametrize("pairs", [3, 2], ids=["all frames", "some of them"])
+def test_the_exposure_is_that_which_makes_changes_visible(pairs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within what some frames tell of all."""
+    monkeypatch.setattr(exposure, "PAIRS", pairs)
+    request = {"change": 4.0, "longest_s": 1e3}
+    config = measurement({"exposure_for": request}, **MOVING, transport={"target": 0.05})
+    found = dg.with_exposure_found(config)
+    assert found.detector.found_for is not None and found.detector.found_for.change == 4.0
+    assert found.detector.model_dump()["found_for"] == {"change": 4.0, "quantile": 0.5, "longest_s": 1e3}
+    # Half of the six may have less. A shorter exposure than a frame lasts is a quarter of a metre earlier.
+    assert np.sort(changes(found, 6))[3] == pytest.approx(4.0, rel=0.25 if pairs == 3 else 0.5)
+
+
+def test_what_a_frame_has_no_time_for_is_refused() -> None:
+    for request, words in (
+        ({"change": 1e4}, r"\{change: 10000, .*s fit into a frame; lower sequence.rate_hz or change"),
+        ({"evidence": 1e5}, r"\{evidence: 100000, .*s fit into a frame; lower sequence.rate_hz or evidence"),
+    ):
+        with pytest.raises(dg.InputError, match=words):
+            dg.with_exposure_found(measurement({"exposure_for": request}, **MOVING))
+    for asked in ({"change": 5}, {"change": 5, "evidence": 5}, {"longest_s": 1}):
+        with pytest.raises(dg.InputError, match=r"nothing changes without sequence|one of them is needed"):
+            measurement({"exposure_for": asked})
+
+
+def test_evidence_of_a_sequence_is_found_where_objects_are_in_it() -> None:
+    config = measurement({"exposure_for": {"evidence": 5}}, **MOVING)
+    found = dg.with_exposure_found(config).detector
+    scene = dg.scene_for(dg.with_exposure_found(config), 0)
+    assert found.cycles <= 0.125 * 10e6 and scene.moving == ("box",)
+    asking = measurement({"cycles": found.cycles}, [{"kind": "box", "motion": WALK, "evidence_at_least": 4}],
+                         sequence=MOVING["sequence"])  # fmt: skip
+    own = [simulate_sample(asking, index).parameters for index in range(3)]
+    # The estimate is that of three moments, in coarse light.
+    assert all(float(of["evidence.box.significance"]) > 3.5 and of["evidence.placed_anew"] >= 0 for of in own)
 
 
 FOR = r"^detector\.exposure_for = \{evidence: .*"
