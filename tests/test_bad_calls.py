@@ -80,6 +80,15 @@ def transient(**other: Any) -> dg.Transient:
     return dg.Transient(**fields | {"laser_points": np.zeros((1, 3))} | other)
 
 
+FRAMES = np.zeros((2, 1, 2, 64))
+
+
+def sequence_light(**other: Any) -> dg.SequenceLight:
+    fields = {"time": TIME, "times_s": FRAMES[:, :, 0, 0], "static": FRAMES[0], "moving": FRAMES, "parts": {}}
+    fields |= {"stderr": FRAMES, "change_stderr": FRAMES, "change_errors": np.zeros(2), "overflow": FRAMES[..., 0]}
+    return dg.SequenceLight(**fields | {"laser_points": np.zeros((2, 1, 3)), "relative_error": np.zeros(2)} | other)
+
+
 TRIANGLE = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0)])
 MESH = wall().mesh
 Arguments = dict[str, list[Any]]
@@ -345,7 +354,12 @@ WITH: dict[str, Callable[[Made], Call]] = {
     "replay": lambda m: (dg.replay, {"path": m.set, "scene": 0}),
     "scene_for": lambda m: (dg.scene_for, {"config": tiny(), "index": 0}),
     "score": lambda m: (dg.score, {"suite": m.set, "predictions": {}}),
+    "SequenceLight": lambda m: (dg.SequenceLight, vars(sequence_light())),
+    **{f"SequenceLight.{name}": lambda m, name=name: (getattr(sequence_light(), name), {"frame": 1})
+       for name in ("change", "change_error", "frame", "total")},
     "simulate": lambda m: (dg.simulate, {"scene": room(), "capture": CAPTURE, "accuracy": FEW}),
+    "simulate_sequence": lambda m: (dg.simulate_sequence, {
+        "scene": room(), "capture": CAPTURE, "clock": dg.Clock(2, 10), "accuracy": FEW}),
     "simulate_as_printed": lambda m: (dg.simulate_as_printed, {"scene": room(), "capture": CAPTURE}),
     "with_exposure_found": lambda m: (dg.with_exposure_found, {"config": tiny()}),
     "write_device": lambda m: (dg.write_device, {

@@ -110,6 +110,7 @@ class SequenceLight:
         """Claimed relative L2 error ‖error‖ / ‖change‖ of the light's change from the frame before: an estimate; NaN
         where nothing changes, infinite where the change is not known at all. The change that is measured has noise,
         whose share is taken off its norm."""
+        self._check(frame, 1)
         error, norm = float(self.change_errors[frame]), l2_norm(self.change(frame))
         if norm == 0.0:
             return float("nan") if error == 0.0 else float("inf")
