@@ -23,6 +23,7 @@ from datagen.report.replay import Light, Replay, StoredScene, read_scene, replay
 from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scans import Raster, draw_time_slice, scan_page
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
+from datagen.report.strip import strip_page
 from datagen.report.style import captioned, house_style, save_png
 from datagen.store.files import check_writable
 from datagen.store.summaries import OVER_M
@@ -37,6 +38,7 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     An overview with the room in plan and opened, light by part and counts; counts over their expectation; the labels;
     and slices of the scan where it has several channels. For geometry and light by part, which a dataset does not
     hold, the scene is simulated again from the stored configuration and seed; counts and labels are the stored ones.
+    Of a sequence these show the middle frame, and a last picture all frames.
     Where a room cannot be drawn (scenes made in Python, imported captures, mesh files that are gone) only stored
     measurements and labels are drawn.
 
@@ -47,7 +49,8 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     InputError : no dataset, no such scene, a shard not committed, a scene that failed, a mesh file that has changed,
         an output that cannot be written.
     """
-    stored = read_scene(dataset, index)
+    whole = read_scene(dataset, index)
+    stored = whole.at_frame()
     if stored.missing:
         warn(f"{stored.missing}; only what is stored is drawn", InputWarning, stacklevel=2)
     root = Path(dataset).resolve()
@@ -57,7 +60,15 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
     with house_style():
         why = why_roomless(stored.config, stored.missing)
         made = pages(stored, replay(stored)) if why is None else stored_pages(stored, why)
-        return [save_png(figure, folder / f"scene-{index:06d}-{name}.png") for name, figure in made]
+        saved = [save_png(figure, folder / f"scene-{index:06d}-{name}.png") for name, figure in made]
+        strip = frames_page(whole)
+        return saved if strip is None else [*saved, save_png(strip, folder / f"scene-{index:06d}-frames.png")]
+
+
+def frames_page(stored: StoredScene) -> Figure | None:
+    """The frames of a stored sequence side by side; None of a scene that is measured once, or of which nothing is
+    stored that could be shown. To be used within `house_style()`."""
+    return None if stored.frames is None else strip_page(stored, scene_of_stored(stored.at_frame()))
 
 
 def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:

@@ -14,7 +14,7 @@ from datagen.errors import InputError, InputWarning
 from datagen.records.checks import as_given, option
 from datagen.report.explorer import explorer, scene_data
 from datagen.report.html import head, inside, table
-from datagen.report.pages import pages, stored_pages
+from datagen.report.pages import frames_page, pages, stored_pages
 from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.stored import why_roomless
@@ -33,7 +33,8 @@ SCENES = 3
 
 def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int = SCENES) -> Path:
     """Write one HTML file about a dataset and return its path: the text of `info`, fields, rooms with their labels to
-    turn and filter, some scenes in full with their scans to slide through, and the drawn parameters.
+    turn and filter, some scenes in full with their scans to slide through, and the drawn parameters. Of sequences the
+    middle frame is shown, and a strip of all frames of those in full.
 
     Pictures, numbers and script are inside the file; it loads nothing else. Of a dataset that is still being built
     the committed scenes are shown.
@@ -74,13 +75,16 @@ def _page(root: Path, dataset: Description, scenes: int) -> Iterator[str]:
     yield head(config.name)
     full, shown, pictures = [record.index for record in made[:scenes]], list[dict[str, Any]](), list[str]()
     for record in made[: ROOMS if roomless is None else scenes]:
-        stored = read_scene(root, record.index)
+        whole = read_scene(root, record.index)
+        stored, strip = whole.at_frame(), frames_page(whole) if record.index in full else None
+        if strip is not None:
+            pictures.append(inside(strip, f"scene {record.index}, frames"))
         if roomless is not None:
             for name, picture in stored_pages(stored, roomless):
                 pictures.append(inside(picture, f"scene {record.index}, {name}"))
             continue
         replayed = replay(stored) if record.index in full else None
-        scene = scene_for(config, record.index) if replayed is None else replayed.scene
+        scene = stored.scene_of(scene_for(config, record.index)) if replayed is None else replayed.scene
         shown.append(scene_data(stored, scene, _error(record), replayed))
         if replayed is not None:
             for name, picture in pages(stored, replayed, ["overview"]):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from datagen.design.scene_for import scene_for
 from datagen.detector import Exposure, Spad, detect, detector_for, expected_histogram
 from datagen.errors import InputError
 from datagen.labels import ViewFrame
-from datagen.pipeline import detector_effects
+from datagen.pipeline import Setup, counts_of, detector_effects, simulated_frames
 from datagen.records import Capture, Scalar, Scene, TimeAxis, Transient
 from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
@@ -39,6 +39,8 @@ class StoredScene:
 
     arrays : field → values. parameters : drawn numbers and others, by name. classes : names of the numbers in
     `object_class`. missing : a line about a mesh file of its objects that is missing; empty if all are there.
+    frames : number of frames of a sequence. framed : names of the arrays that have an axis of frames. frame : the
+    frame to which these have been cut (`at_frame`).
     """
 
     config: DatasetConfig
@@ -47,11 +49,27 @@ class StoredScene:
     parameters: Mapping[str, Scalar] = field(default_factory=dict)
     classes: tuple[str, ...] = ()
     missing: str = ""
+    frames: int | None = None
+    framed: frozenset[str] = frozenset()
+    frame: int | None = None
 
     @property
     def title(self) -> str:
-        """Heading of its pictures: dataset and scene."""
-        return f"{self.config.name}, scene {self.index}"
+        """Heading of its pictures: dataset, scene, and frame of a sequence."""
+        of = "" if self.frame is None else f", frame {self.frame} of {self.frames}"
+        return f"{self.config.name}, scene {self.index}{of}"
+
+    def at_frame(self, frame: int | None = None) -> StoredScene:
+        """A frame of a sequence as a scene, left out: the middle one; a scene that is measured once is what it is."""
+        if self.frames is None:
+            return self
+        frame = self.frames // 2 if frame is None else frame
+        arrays = {name: of[frame] if name in self.framed else of for name, of in self.arrays.items()}
+        return replace(self, arrays=arrays, framed=frozenset(), frame=frame)
+
+    def scene_of(self, drawn: Scene) -> Scene:
+        """The drawn scene, of a frame as it stands in the middle of that."""
+        return drawn if self.frame is None else drawn.at(float(self.arrays["laser_time"].mean()))
 
     def significance(self) -> dict[str, float]:
         """Object → stored significance of its own light in the data; objects without one are left out."""
@@ -145,7 +163,10 @@ def read_scene(dataset: str | Path, index: int) -> StoredScene:
     content = stored.read(index, "INDEX")
     classes = names["object_class"].classes if "object_class" in names else ()
     config, missing = config_of(manifest)
-    return StoredScene(config, index, content.arrays, content.parameters, classes, missing)
+    framed = frozenset(name for name, field in names.items() if field.frame_bytes is not None)
+    return StoredScene(
+        config, index, content.arrays, content.parameters, classes, missing, manifest.frames, framed
+    )  # fmt: skip
 
 
 def config_of(manifest: Manifest) -> tuple[DatasetConfig, str]:
@@ -160,7 +181,10 @@ def config_of(manifest: Manifest) -> tuple[DatasetConfig, str]:
 
 
 def replay(stored: StoredScene) -> Replay:
-    """The stored scene, simulated again: a scene depends on (configuration, seed, index) alone."""
+    """The stored scene, or frame of a sequence, simulated again: a scene depends on (configuration, seed, index)
+    alone."""
+    if stored.frame is not None:
+        return _replay_of_frame(stored, stored.frame)
     config, index = stored.config, stored.index
     scene = scene_for(config, index)
     capture = capture_for(config, scene, config.seed, index)
@@ -179,6 +203,26 @@ def replay(stored: StoredScene) -> Replay:
         )
     difference, moved_m = _difference(stored, transient.total), _moved_m(stored, transient.laser_points)
     return Replay(scene, capture, transient, counts, expected, difference, moved_m, mean_is_exact)
+
+
+def _replay_of_frame(stored: StoredScene, frame: int) -> Replay:
+    """A stored frame, from the whole sequence simulated again."""
+    config, index = stored.config, stored.index
+    scene = scene_for(config, index)
+    capture = capture_for(config, scene, config.seed, index)
+    setup = Setup.of(config, index, scene, capture)
+    light = simulated_frames(setup)
+    counted, one = counts_of(setup, light.at_once()), light.frames.frame(frame)
+    seen = replace(one, components={"all": np.maximum(one.total, 0.0)})
+    expected, mean_is_exact = _mean(seen.total, capture.time, counted.spad, counted.exposure)
+    counts = stored.arrays.get("histogram")
+    if counts is None:
+        drawn = counted.histogram
+        counts = drawn.reshape(light.frames.frames, -1, *drawn.shape[1:])[frame]
+    # Laser points are stored as they are when the first frame begins.
+    moved_m = _moved_m(stored, one.laser_points)
+    difference = _difference(stored, one.total)
+    return Replay(stored.scene_of(scene), capture, seen, counts, expected, difference, moved_m, mean_is_exact)
 
 
 def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:

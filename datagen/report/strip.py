@@ -1,0 +1,83 @@
+"""The frames of a stored sequence side by side, and what changes from one to the next over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from datagen.records import Scene
+from datagen.records.arrays import Floats
+from datagen.report.curves import busy_window
+from datagen.report.labels import DRAWN, LabelImage
+from datagen.report.replay import StoredScene
+from datagen.report.stored import QUANTITIES, time_of_stored, unit_of
+from datagen.report.style import captioned
+
+MOST_FRAMES = 8
+"""Frames beside one another; of more these many, spread evenly."""
+SHOWN_FIRST = ("shaded", "depth", "part_id", "occupancy")
+"""Labels of which the first that is stored is shown."""
+
+
+def strip_page(stored: StoredScene, scene: Scene | None) -> Figure | None:
+    """A label of some frames in a row, and below them, for all frames, the light or counts of the whole scan less
+    their mean over the frames, over time: what moves is a ridge in it. None where neither is stored.
+
+    scene : that of the labels; None if it is not known, and labels are not drawn.
+    """
+    measured = next((name for name in ("transient", *QUANTITIES) if name in stored.arrays), None)
+    label = next((name for name in (*SHOWN_FIRST, *DRAWN) if name in stored.arrays), None) if scene else None
+    assert stored.frames is not None
+    if measured is None and label is None:
+        return None
+    count = min(stored.frames, MOST_FRAMES)
+    chosen = np.unique(np.linspace(0, stored.frames - 1, count).round().astype(int))
+    times_s = stored.arrays["laser_time"].mean(axis=1)
+    heights = [1.6] * (label is not None) + [3.2] * (measured is not None)
+    text = "Frames at the middle of their exposures"
+    if measured is not None:
+        text += f"; below, {measured} summed over the scan, less the mean over all frames"
+    figure, grid = captioned(1.7 * len(chosen) + 1.0, heights, f"{text}.", f"{stored.title}: frames", len(chosen))
+    if label is not None and scene is not None:
+        _draw_labels([figure.add_subplot(grid[0, k]) for k in range(len(chosen))], scene,
+                     stored.arrays[label][chosen], label, times_s[chosen])  # fmt: skip
+    if measured is not None:
+        axes = figure.add_subplot(grid[len(heights) - 1, :])
+        values = np.asarray(stored.arrays[measured], np.float64).sum(axis=(1, 2))
+        time = time_of_stored(stored, measured)
+        low, high = busy_window(values, time, 0.999)
+        change = values - values.mean(axis=0)
+        most = float(np.abs(change).max()) or 1.0
+        edges = _edges(times_s)
+        shown = axes.pcolormesh(
+            time.edges_s * 1e9, edges, change, cmap="RdBu_r", vmin=-most, vmax=most, rasterized=True
+        )
+        axes.set(xlim=(low, high), xlabel="arrival time (ns)", ylabel="time (s)", ylim=(edges[-1], edges[0]))
+        axes.set_title(f"Change of the {measured} against its mean")
+        figure.colorbar(shown, ax=axes, label=unit_of(stored, measured))
+    return figure
+
+
+def _draw_labels(cells: list[Axes], scene: Scene, values: NDArray[np.generic], label: str, times_s: Floats) -> None:
+    """One label in several frames, all with the colours that the values of all of them have together."""
+    images = [LabelImage.of(scene, label, one) for one in values]
+    norm = None if images[0].values.ndim == 3 else images[0].norm
+    if norm is not None:
+        every = np.ma.stack([image.values for image in images])
+        if np.ma.count(every):
+            norm.autoscale(every)
+    for axes, image, time_s in zip(cells, images, times_s, strict=True):
+        (left, bottom), (right, top) = image.low, image.high
+        style: dict[str, Any] = {} if norm is None else {"cmap": image.look.colors, "norm": norm}
+        axes.imshow(image.values, extent=(left, right, bottom, top), interpolation="nearest", **style)
+        axes.set(title=f"{time_s:.2f} s", xticks=[], yticks=[])
+
+
+def _edges(times_s: Floats) -> Floats:
+    """(F + 1,) seconds halfway between the frames, and as far before the first and after the last."""
+    half = np.diff(times_s) / 2
+    return np.concatenate([[times_s[0] - half[0]], times_s[:-1] + half, [times_s[-1] + half[-1]]])
