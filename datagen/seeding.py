@@ -52,13 +52,15 @@ class LightStream(IntEnum):
 
 
 def seed_sequence(
-    dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0
+    dataset_seed: int, scene_index: int, purpose: Purpose, attempt: int = 0, part: int = 0, frame: int | None = None
 ) -> np.random.SeedSequence:
-    """numpy's `SeedSequence` of one purpose of one scene; its spawn key is (purpose, scene, attempt, part)."""
+    """numpy's `SeedSequence` of one purpose of one scene; its spawn key is (purpose, scene, attempt, part), and the
+    frame of a sequence where each has a stream of its own."""
     for name, value in (("seed", dataset_seed), ("index", scene_index)):
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0:
             raise InputError(f"{name} = {shown(value)}: must be an integer ≥ 0")
-    return np.random.SeedSequence(dataset_seed, spawn_key=(int(purpose), scene_index, attempt, part))
+    own = () if frame is None else (frame,)
+    return np.random.SeedSequence(dataset_seed, spawn_key=(int(purpose), scene_index, attempt, part, *own))
 
 
 def generator(

@@ -48,13 +48,16 @@ class Crops:
         # A confocal scan has one pixel for each laser point.
         self._same = {"sensor_pixel": "laser" if capture["pairing"] == "confocal" else "pixel"}
 
-    def part(self, field: Field) -> Part | None:
-        """The part of a field that is read; None for the whole field."""
+    def part(self, field: Field, frames: Ints | None = None) -> Part | None:
+        """The part of a field that is read, of a sequence of some `frames`; None for the whole field."""
         names = [self._same.get(axis, axis) for axis in field.dims[1:]]
-        if not self.chosen.keys() & set(names):
+        chosen = self.chosen if frames is None else {**self.chosen, "frame": frames}
+        if not chosen.keys() & set(names):
             return None
-        every = [self.chosen.get(name, np.arange(size)) for name, size in zip(names, field.shape, strict=True)]
-        return Part(tuple(every[:-1]), slice(int(every[-1][0]), int(every[-1][-1]) + 1))
+        *others, last = (chosen.get(name, np.arange(size)) for name, size in zip(names, field.shape, strict=True))
+        # Bins are a slice; the last axis of a small field may be that of laser points or pixels.
+        is_slice = len(last) == 0 or np.array_equal(last, np.arange(last[0], last[0] + len(last)))
+        return Part(tuple(others), slice(int(last[0]), int(last[-1]) + 1) if is_slice else last)
 
     def __str__(self) -> str:
         """`laser 256 of 4096, bin 512 of 1024`."""

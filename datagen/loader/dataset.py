@@ -26,6 +26,7 @@ from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource, drawn_field
 from datagen.loader.sendable import check_sendable
 from datagen.loader.volumes import Volumes
+from datagen.loader.windows import Windows
 from datagen.reconstruction.backprojection import GEOMETRY
 from datagen.records import TimeAxis
 from datagen.records.arrays import Ints
@@ -44,6 +45,7 @@ from datagen.store.location import Bucket, location_of
 from datagen.store.partial import is_complete, largest, shards_there, table_there
 from datagen.store.reader import Part
 from datagen.store.record import recorded_shards, scenes_made
+from datagen.store.schema import Field
 from datagen.store.stats import COUNTS, QUANTITIES, WITH_STATS
 from datagen.store.table import TABLE, check_columns, read_table, splits_of_table, stats_of_rows
 
@@ -55,7 +57,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
 
     An item maps each field, and `"scene"` (its index), to a tensor of the scene's shape (`data.shape(field)`):
     histogram and transient (L, P, T), label images (row, column), volumes (depth, row, column). `time_of(field)` has
-    the bins of T.
+    the bins of T. Of sequences what differs from frame to frame has a leading axis: histogram (F, L, P, T).
 
     Parameters
     ----------
@@ -68,18 +70,28 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         worker to device: cast it there, `batch["histogram"].to(device).float()`. Other fields keep their dtype.
     redraw_noise : draw histograms anew from the stored transient, with the detector of the scene, at every read. The
         n-th read of a scene is its draw n, a function of (`seed`, n, scene). So each epoch has new noise, with any
-        wrapper, sampler or worker; you do not have to call `set_epoch`, which sets n. A `background_histogram` is
-        drawn anew, too, if the dataset has the field `background_transient`; otherwise it is the stored one.
+        wrapper, sampler or worker; you do not have to call `set_epoch`, which sets n. Of sequences each frame has
+        noise of its own, and the n-th reads of windows that overlap agree in the frames that both have. A
+        `background_histogram` is drawn anew, too, if the dataset has the field `background_transient`; otherwise it
+        is the stored one.
     representation : `"dense"`, `"events"` or `"volume"`.
         With `"events"` an item has, instead of `histogram`, the fields `events`, (N, 3) laser, pixel and bin of every
         filled bin (int16, or int32 for long axes), and `counts`, (N,) the counts of these bins. They are an input for
         networks on points, and smaller if most bins are empty. `collate` joins the items of a batch, with the index
-        of the sample as the first column, and `dense` turns them into histograms on any device.
+        of the sample as the first column, and `dense` turns them into histograms on any device. Of sequences `events`
+        has the frame within the item before the laser point.
         With `"volume"` an item has, instead of `histogram`, the field `volume`, float32 (depth, row, column), an
         input for convolutions: the backprojection onto the space behind the label images of the counts minus their
         mean over the scan, in units of their noise, divided by the root of the number of histograms. Noise alone has
-        a standard deviation of about 1, and an object stands out from it at the pixels of its label.
+        a standard deviation of about 1, and an object stands out from it at the pixels of its label. Of sequences
+        each frame has a volume (`minus`).
     voxels : number of voxels of a `volume` along (depth, row, column).
+    minus : what is taken off the counts before a `volume` is made of them: `"scan"`, their mean over the scan, or, of
+        sequences, `"mean"`, their mean over the frames of the item, in which what stands is gone.
+    frames : items are windows of so many frames of a sequence, and `"frame"` in an item is the first of them. A split
+        has all windows of its scenes. Left out: an item is a whole sequence. Of each chunk only the frames of the
+        window are decoded (the first read with `check` takes all).
+    frame_step : frames from the first one of a window to that of the next; left out: `frames`, so that none overlap.
     split : read the scenes of one split only: `"train"`, `"val"`, `"test"`, or a split that the configuration holds
         out by what scenes show (`splits.held_out`). All scenes that show the same room are in one split, and scenes
         keep their split when the dataset grows.
@@ -148,6 +160,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         transform: Callable[[Item], Any] | None = None,
         evidence_at_least: float | None = None,
         partial: bool = False,
+        frames: int | None = None,
+        frame_step: int | None = None,
+        minus: str = "scan",
     ) -> None:
         if not isinstance(path, Bucket):
             check_path("path", path, "name the folder that build made")
@@ -186,14 +201,26 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(
                 f"redraw_noise: {path} has no field transient to draw from; build it with one (store.fields)"
             )
+        check_choice("minus", minus, ("scan", "mean"))
         self._crops = Crops(manifest, lasers, pixels, bins)
+        self._windows = Windows.of(manifest, frames, frame_step)
         # Fields of an item: those stored, and histograms that are drawn although none is stored.
         self._fields = {name: drawn_field(name, light, manifest) for name, light in self._light.items()}
         self._fields |= self._schema.by_name
-        self._parts = {name: self._crops.part(field) for name, field in self._fields.items()}
-        self._volumes = Volumes(manifest, self._crops, voxels) if self._instead == "volume" else None
+        # Of each field the part of each window; the same one for what all frames share. Of light that counts are
+        # drawn from, that of the whole scan, and what is cut from the counts then.
+        self._parts = {name: self._parts_of(field, self._crops) for name, field in self._fields.items()}
+        whole = Crops(manifest, None, None, None)
+        self._whole_scans = {name: self._parts_of(self._fields[name], whole) for name in self._light.values()}
+        self._cuts = {
+            name: self._crops.part(self._fields[name], np.arange(self._windows.length or 1))
+            if self._crops.chosen else None
+            for name in self._light
+        }  # fmt: skip
+        self._volumes = Volumes(manifest, self._crops, voxels, minus) if self._instead == "volume" else None
         self._noise = NoiseSource(manifest) if redraw_noise else None
-        self._draws = DrawCounter(self._schema.scenes) if redraw_noise else None
+        number = len(self._windows.firsts)
+        self._draws = DrawCounter(self._schema.scenes * number) if redraw_noise else None
         self.scenes = self._scenes_there(manifest)
         self.split = split
         if split is not None:
@@ -202,6 +229,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError("fractions: divide a dataset into splits; name the one to read, such as split='train'")
         if evidence_at_least is not None:
             self.scenes = self._scenes_with_evidence(evidence_at_least)
+        # (N,) scene and window of each item.
+        self._window = np.tile(np.arange(number), len(self.scenes))
+        self.scenes = np.repeat(self.scenes, number)
         self.seed = seed
         # In shared memory, so that no worker checks a value that another has checked.
         stored = [self._light.get(name, name) for name in self.selected]
@@ -216,8 +246,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         return len(self.scenes)
 
     def __getitem__(self, item: int) -> dict[str, torch.Tensor]:
-        scenes = [self._scene_of(item)]
-        found = self._item(scenes[0], self._draws_of(scenes)[0])
+        place = self._place_of(item)
+        found = self._item(place, self._draws_of([place])[0])
         if self.transform is None:
             return found
         changed = self.transform(found)
@@ -241,8 +271,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """Several items; a `DataLoader` calls this for a batch. They are those that `data[item]` gives one by one."""
         # In a worker torch joins items in the memory in which they are sent, so that nothing is gained there.
         if self.gives_stored_items and get_worker_info() is None and goes_to_collate(sys._getframe(1)):
-            scenes = [self._scene_of(item) for item in items]
-            return cast(list[Item], Whole(self._whole(scenes, self._draws_of(scenes))))
+            places = [self._place_of(item) for item in items]
+            return cast(list[Item], Whole(self._whole(places, self._draws_of(places))))
         # What a subclass or a transform makes of an item happens to each item. But a class that has ways of its own
         # to read one and several gets here what it changes in either.
         classes: list[Any] = [*type(self).__mro__]
@@ -273,7 +303,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"items = {shown(items)}: must be a list of whole numbers, the items' own")
         check_epoch(epoch)
         if self._draws is not None:
-            self._draws.fix(epoch, self.scenes[chosen.astype(np.int64)])
+            self._draws.fix(epoch, self.drawn[chosen.astype(np.int64)])
 
     def state_dict(self) -> dict[str, Any]:
         """How often each scene was read, which redrawn noise goes on from; empty without `redraw_noise`.
@@ -295,24 +325,36 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         """The shape of a field of an item."""
         check_kind("field", field, str, remedy=f"one of {', '.join(self.fields)}")
         if field == "volume" and self._volumes is not None:
-            return self._volumes.shape
+            frames = () if self._windows.length is None else (self._windows.length,)
+            return (*frames, *self._volumes.shape)
         if field not in self._fields:
             raise InputError(f"field = {shown(field)}: is not in {self.path}; it has {', '.join(self.fields)}")
-        return (self._parts[field] or self._fields[field]).shape
+        return (self._parts[field][0] or self._fields[field]).shape
 
     def time_of(self, field: str = "histogram") -> TimeAxis:
         """The bins of a histogram or a transient of an item. They differ where the sensor merges bins
         (`detector.bins_merged`)."""
         check_kind("field", field, str, remedy="name histogram or transient")
-        axis, part = self._manifest.time_of(field), self._parts.get(field)
+        axis, part = self._manifest.time_of(field), self._parts.get(field, [None])[0]
         if field not in self._fields or self._fields[field].dims[-1] not in ("bin", "transient_bin"):
             raise InputError(
                 f"field = {shown(field)}: has no axis of time in {self.path}; name histogram or transient"
             )
-        if part is None:
+        if part is None or not isinstance(part.last, slice):
             return axis
         first, stop = part.last.start, part.last.stop
         return replace(axis, bins=stop - first, start_s=axis.start_s + first * axis.width_s)
+
+    @property
+    def drawn(self) -> Ints:
+        """(N,) number of what is drawn anew in each item: its scene, or the window among those of all scenes. Draws
+        are counted for each number."""
+        return self.scenes * len(self._windows.firsts) + self._window
+
+    @property
+    def first_frames(self) -> Ints:
+        """(N,) the first frame of each item; 0 without windows."""
+        return np.asarray(self._windows.firsts[self._window])
 
     @property
     def gives_stored_items(self) -> bool:
@@ -337,7 +379,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
                 width, start = axis.width_s * 1e12, axis.start_s * 1e9
                 found[f"bins of {name}"] = f"{width:.9g} ps from {start:.9g} ns since {axis.origin}"
         if self._volumes is not None:
-            found["shape of volume"] = str(self._volumes.shape)
+            found["shape of volume"] = str(self.shape("volume"))
         return found
 
     @property
@@ -360,7 +402,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         columns = [
             f"stats.{name}.{quantity}" for name in WITH_STATS if name in self.fields for quantity in QUANTITIES
         ]
-        rows = self._table(columns).take(self.scenes)
+        # All scenes have as many windows.
+        rows = self._table(columns).take(np.unique(self.scenes))
         try:
             return stats_of_rows(rows)
         except (TypeError, ValueError, OverflowError) as error:
@@ -443,7 +486,15 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError("counts = 'int32': histograms are stored as uint32, which it cannot hold; use 'int64'")
         return None if counts == "stored" else np.dtype(str(counts))
 
-    def _scene_of(self, item: object) -> int:
+    def _parts_of(self, field: Field, crops: Crops) -> list[Part | None]:
+        """The part of a field that is read of each window."""
+        every = range(len(self._windows.firsts))
+        if not self._windows.are_asked_for or field.frame_bytes is None:
+            return [crops.part(field)] * len(every)
+        return [crops.part(field, self._windows.frames_of(window)) for window in every]
+
+    def _place_of(self, item: object) -> int:
+        """The place of an item among `scenes`."""
         try:
             number = operator.index(item)  # type: ignore[arg-type]
         except TypeError:
@@ -452,55 +503,66 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         # A subclass may have another length, and choose items by itself.
         if not -len(self.scenes) <= number < len(self.scenes):
             raise IndexError(f"item {shown(number)}: this dataset has {len(self.scenes)} items")
-        return int(self.scenes[number])
+        return number % len(self.scenes)
 
-    def _draws_of(self, scenes: Sequence[int]) -> list[tuple[int, int]]:
-        """(number, stream) of the draw of each scene, where any field is drawn."""
+    def _draws_of(self, places: Sequence[int]) -> list[tuple[int, int]]:
+        """(number, stream) of the draw of each item, where any field is drawn."""
         drawn = self._draws is not None and any(name in self._light for name in self.selected)
-        return self._draws.take(scenes) if drawn and self._draws is not None else [(0, 0)] * len(scenes)
+        if not drawn or self._draws is None:
+            return [(0, 0)] * len(places)
+        windows = len(self._windows.firsts)
+        return self._draws.take([int(self.scenes[k]) * windows + int(self._window[k]) for k in places])
 
-    def _item(self, scene: int, draw: tuple[int, int]) -> Item:
+    def _item(self, place: int, draw: tuple[int, int]) -> Item:
         """One item, in memory of its own."""
-        whole = self._whole([scene], [draw])
+        whole = self._whole([place], [draw])
         item = {name: values[0] for name, values in whole.items() if name not in JOINED}
         if "events" in whole:
             # Without the first column, the index of the sample.
             item |= {"events": whole["events"][:, 1:].contiguous(), "counts": whole["counts"]}
         return item
 
-    def _whole(self, scenes: Sequence[int], draws: Sequence[tuple[int, int]]) -> Item:
-        """The batch of some scenes, with one read for each field."""
-        drawn = self._drawn(scenes, draws)
+    def _whole(self, places: Sequence[int], draws: Sequence[tuple[int, int]]) -> Item:
+        """The batch of some items, with one read for each field."""
+        scenes, windows = self.scenes[places].tolist(), self._window[places].tolist()
+        drawn = self._drawn(scenes, windows, draws)
         batch = {
-            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes)
+            name: torch.from_numpy(drawn[name]) if name in drawn else self._tensor(name, scenes, windows)
             for name in self.selected
             if name != "histogram" or self._instead is None
         } | {"scene": torch.tensor(scenes)}
+        if self._windows.are_asked_for:
+            batch["frame"] = torch.tensor(self._windows.firsts[windows].tolist())
         if self._instead is None:
             return batch
         counts = drawn.get("histogram")
         if counts is None:
-            counts = self._stored("histogram", scenes, part=self._parts["histogram"])
+            counts = self._stored("histogram", scenes, windows)
         if self._volumes is not None:
-            geometry = {name: self._stored(name, scenes, part=self._parts[name]) for name in GEOMETRY}
+            geometry = {name: self._stored(name, scenes, windows) for name in GEOMETRY}
             return batch | {"volume": torch.from_numpy(self._volumes.backproject(scenes, counts, geometry))}
         events, of_events = events_of(counts)
         return batch | {"events": torch.from_numpy(events), "counts": torch.from_numpy(self._cast(of_events))}
 
     def _stored(
-        self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
-    ) -> NDArray[np.generic]:
+        self, name: str, scenes: Sequence[int], windows: Sequence[int], out: NDArray[np.generic] | None = None,
+        parts: Sequence[Part | None] | None = None,
+    ) -> NDArray[np.generic]:  # fmt: skip
+        """(len(scenes), …) stored values of a field in some windows. parts : of each window; left out: those of an
+        item."""
         if self._reader is None:
             seen = {field: checked.numpy() for field, checked in self._seen.items()}
             self._reader = DatasetReader(self.path, self._manifest, seen, self._check, seen)
-        return self._reader.read(name, scenes, part=part, out=out)
+        every = self._parts[name] if parts is None else parts
+        chosen = [part for window in windows if (part := every[window]) is not None]
+        return self._reader.read(name, scenes, part=chosen or None, out=out)
 
-    def _tensor(self, name: str, scenes: Sequence[int]) -> torch.Tensor:
+    def _tensor(self, name: str, scenes: Sequence[int], windows: Sequence[int]) -> torch.Tensor:
         """(len(scenes), *shape) stored values of a field; histograms in the dtype that `counts` names."""
         field = self._schema.by_name[name]
         dtype = self._counts if name in COUNTS and self._counts is not None else np.dtype(field.dtype)
         return torch.from_numpy(
-            self._stored(name, scenes, self._parts[name], np.empty((len(scenes), *self.shape(name)), dtype))
+            self._stored(name, scenes, windows, np.empty((len(scenes), *self.shape(name)), dtype))
         )
 
     def _cast(self, counts: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -511,23 +573,35 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             raise InputError(f"counts = {self._counts.name!r}: {most} counts do not fit; use 'int64'")
         return counts.astype(self._counts)
 
-    def _drawn(self, scenes: Sequence[int], draws: Sequence[tuple[int, int]]) -> dict[str, NDArray[np.generic]]:
+    def _drawn(
+        self, scenes: Sequence[int], windows: Sequence[int], draws: Sequence[tuple[int, int]]
+    ) -> dict[str, NDArray[np.generic]]:
         """Field → (len(scenes), *shape) counts, of the selected fields whose noise is drawn anew."""
-        wanted = [name for name in self.selected if name in self._light]
-        if not wanted:
-            return {}
-        assert self._noise is not None
         found = dict[str, NDArray[np.generic]]()
-        for name in wanted:
-            light = self._light[name]
-            part, every = self._parts[name], []
-            for transient, scene, draw in zip(self._stored(light, scenes), scenes, draws, strict=True):
-                # Noise is drawn for the whole scan and cut afterwards, so that a part equals that part of the whole.
-                counts = self._noise.draw(light, transient, scene, self.seed, *draw)
+        for name in (name for name in self.selected if name in self._light):
+            light, every = self._light[name], []
+            # Noise is drawn for the whole scan and cut afterwards, so that a part equals that part of the whole.
+            stored = self._stored(light, scenes, windows, parts=self._whole_scans[light])
+            for transient, scene, window, draw in zip(stored, scenes, windows, draws, strict=True):
+                counts, part = self._draw(light, transient, scene, window, draw), self._cuts[name]
                 every.append(counts if part is None else part.cut(counts))
             drawn = np.stack(every)
             found[name] = drawn if name == "histogram" and self._instead else self._cast(drawn)
         return found
+
+    def _draw(
+        self, light: str, transient: NDArray[np.generic], scene: int, window: int, draw: tuple[int, int]
+    ) -> NDArray[np.generic]:
+        """Counts of a scene, or of each frame of a window, drawn from its transient."""
+        assert self._noise is not None
+        if self._windows.length is None:
+            return self._noise.draw(light, transient, scene, self.seed, *draw)
+        frames = self._windows.frames_of(window).tolist()
+        drawn = [
+            self._noise.draw(light, one, scene, self.seed, *draw, frame)
+            for one, frame in zip(transient, frames, strict=True)
+        ]
+        return np.stack(drawn)
 
 
 _OWN_ITEM = TransientDataset.__getitem__

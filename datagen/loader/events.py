@@ -17,7 +17,13 @@ from datagen.records.checks import check_integer, check_kind
 
 def events_of(histograms: NDArray[np.generic]) -> tuple[NDArray[np.signedinteger[Any]], NDArray[np.generic]]:
     """The filled bins of histograms (n, L, P, T): (N, 4) indices of histogram, laser, pixel and bin, in this order,
-    and (N,) counts. Indices are int16, or int32 if an axis is too long for that."""
+    and (N,) counts; of sequences (n, F, L, P, T) (N, 5), with the frame second. Indices are int16, or int32 if an
+    axis, or n · F, is too long for that."""
+    if histograms.ndim == 5:
+        frames = histograms.shape[1]
+        found, counts = events_of(histograms.reshape(-1, *histograms.shape[2:]))
+        sample, frame = np.divmod(found[:, :1], frames)
+        return np.concatenate([sample, frame, found[:, 1:]], axis=1), counts
     filled = np.count_nonzero(histograms)
     short = max(histograms.shape) <= np.iinfo(np.int16).max
     kind: np.dtype[np.signedinteger[Any]] = np.dtype(np.int16 if short else np.int32)
@@ -51,9 +57,11 @@ def dense(events: torch.Tensor, counts: torch.Tensor, shape: Sequence[int]) -> t
 
     Parameters
     ----------
-    events : (N, 4) index of the sample in the batch, laser, pixel, bin; for one sample (N, 3) laser, pixel, bin.
+    events : (N, 4) index of the sample in the batch, laser, pixel, bin; for one sample (N, 3) laser, pixel, bin; of
+        sequences with a column for the frame before that of the laser point.
     counts : (N,) numbers of any type.
-    shape : (samples, L, P, T), as `(len(batch["scene"]), *data.shape("histogram"))`, or (L, P, T) for one sample.
+    shape : (samples, L, P, T), as `(len(batch["scene"]), *data.shape("histogram"))`, or (L, P, T) for one sample;
+        with an axis of frames before L of sequences.
 
     Raises
     ------

@@ -19,7 +19,7 @@ NONE: Ints = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class Found:
-    """The scenes that some items read from a dataset whose noise is drawn anew.
+    """The scenes that some items read from a dataset whose noise is drawn anew; of sequences, the windows.
 
     positions : (n,) places of these items among those given. scenes : (n,) the scene that each reads.
     hidden : scenes that a dataset of a user's, which has another length, reads in a way of its own; else None.
@@ -67,10 +67,10 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
             source = str(data.path), data.seed
             if data.reads_its_items or _size(data) == len(data.scenes):
                 once = data.reads_its_items
-                others = NONE if once else data.scenes
-                yield Found(data._draws, positions, data.scenes[items], None, once, others, source)
+                others = NONE if once else data.drawn
+                yield Found(data._draws, positions, data.drawn[items], None, once, others, source)
             else:
-                yield Found(data._draws, NONE, NONE, np.unique(data.scenes), source=source)
+                yield Found(data._draws, NONE, NONE, np.unique(data.drawn), source=source)
     elif isinstance(data, Subset):
         yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):

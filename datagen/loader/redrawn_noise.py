@@ -54,20 +54,25 @@ class NoiseSource:
         self._seed = manifest.seed
 
     def draw(
-        self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0
-    ) -> NDArray[np.integer[Any]]:
-        """(laser, pixel, bin) counts of a scene, with as many bins as its histogram has.
+        self, field: str, transient: NDArray[np.generic], scene: int, seed: int, number: int, stream: int = 0,
+        frame: int | None = None,
+    ) -> NDArray[np.integer[Any]]:  # fmt: skip
+        """(laser, pixel, bin) counts of a scene, or of a frame of a sequence, with as many bins as its histogram has.
 
         They are a function of the transient (the values of `field`), `seed`, the number of the draw, the stream of
-        the process and the scene.
+        the process, the scene and the frame.
         """
         from datagen.detector import detect
 
-        spad, exposure, tolerance = self._detector_of(scene, transient)
-        key = seed_sequence(seed, scene, _PURPOSE[field], attempt=number, part=stream)
+        light = transient.astype(np.float64)
+        if frame is not None:
+            # Of sequences it may be below 0 where it is hardly known.
+            np.maximum(light, 0.0, out=light)
+        spad, exposure, tolerance = self._detector_of(scene, light)
+        key = seed_sequence(seed, scene, _PURPOSE[field], attempt=number, part=stream, frame=frame)
         noise_seed = int(key.generate_state(1, np.uint64)[0])
         return detect(
-            transient.astype(np.float64), self._time, spad, exposure, seed=noise_seed, tolerance=tolerance,
+            light, self._time, spad, exposure, seed=noise_seed, tolerance=tolerance,
             approximate=self._detector.approximate,
         )  # fmt: skip
 

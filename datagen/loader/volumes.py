@@ -30,7 +30,9 @@ class Volumes:
     Raises `InputError` for an invalid shape, and if the dataset does not say where its measurement was made.
     """
 
-    def __init__(self, manifest: Manifest, crops: Crops, shape: tuple[int, int, int]) -> None:
+    def __init__(
+        self, manifest: Manifest, crops: Crops, shape: tuple[int, int, int], minus: str = "scan"
+    ) -> None:  # fmt: skip
         whole = isinstance(shape, tuple | list) and all(isinstance(n, int) and n > 0 for n in shape)
         if not whole or len(shape) != 3 or math.prod(shape) > MOST_VOXELS:
             raise InputError(
@@ -41,6 +43,9 @@ class Volumes:
         if missing:
             raise InputError(f"representation = 'volume': this dataset has no {', '.join(missing)}, which it needs")
         self.shape = (shape[0], shape[1], shape[2])
+        if minus == "mean" and manifest.frames is None:
+            raise InputError("minus = 'mean': the dataset has no sequences whose mean over frames could be taken off")
+        self._minus = minus
         self._capture = manifest.config["capture"]
         self._time = manifest.time
         if "bin" in crops.chosen:
@@ -50,11 +55,13 @@ class Volumes:
     def backproject(
         self, scenes: Sequence[int], counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]
     ) -> NDArray[np.float32]:
-        """(N, depth, row, column) volumes of N scenes, from counts (N, laser, pixel, bin) and the fields `GEOMETRY`.
+        """(N, depth, row, column) volumes of N scenes, from counts (N, laser, pixel, bin) and the fields `GEOMETRY`;
+        of sequences (N, frame, …), from counts (N, frame, …).
 
         Raises `InputError` for a scene that does not say where its hidden part is.
         """
-        volumes = np.empty((len(counts), *self.shape), np.float32)
+        frames = counts.shape[1:-3]
+        volumes = np.empty((len(counts), *frames, *self.shape), np.float32)
         for row, histograms in enumerate(counts):
             where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
             view, bounds = where["hidden_view"], where["hidden_bounds"]
@@ -64,5 +71,9 @@ class Volumes:
                     "to Scene.from_parts, or take another representation"
                 )
             grid = VoxelGrid.behind_images(ViewFrame.about(Rectangle(*view)), bounds, self.shape)
-            volumes[row] = backprojected_volume(scan_of(histograms, where, self._capture, self._time), grid)
+            # With the mean over the frames taken off, what stands is gone, and the signal is whitened by that mean.
+            mean = histograms.mean(axis=0) if self._minus == "mean" else None
+            for frame in np.ndindex(frames):
+                scan = scan_of(histograms[frame], where, self._capture, self._time, mean)
+                volumes[(row, *frame)] = backprojected_volume(scan, grid)
         return volumes

@@ -59,15 +59,20 @@ def scan_of(
     geometry: Mapping[str, Floats],
     capture: Mapping[str, Any],
     time: TimeAxis,
+    mean: Floats | None = None,
 ) -> Scan:
     """The scan of a stored scene, confocal, exhaustive or a flood. Pairs with an unknown point (NaN) are left out.
 
     counts : (laser, pixel, bin). geometry : the fields `GEOMETRY` of the scene. capture : the section `capture` of
-    the configuration. time : the bins of `counts`.
+    the configuration. time : the bins of `counts`. mean : (laser, pixel, bin) what is taken off the counts, such as
+    their mean over the frames of a sequence; left out: their mean over the scan.
     """
     to_frame = ViewFrame.about(Rectangle(*geometry["hidden_view"])).to_view
     lasers, pixels = to_frame(geometry["laser_points"]), to_frame(geometry["sensor_points"])
     signal: Floats = counts.astype(np.float64)
+    if mean is not None:
+        # In units of the noise of the counts; where hardly any are expected, of one count in the scan.
+        signal = (signal - mean) / np.sqrt(mean + 1 / max(signal.shape[0] * signal.shape[1], 1))
     if capture["pairing"] == "confocal":
         laser = pixel = np.arange(len(lasers))
         signal = signal[:, 0]
@@ -88,7 +93,8 @@ def scan_of(
     first = time.start_s / time.width_s - outside * time_from_path(1.0) / time.width_s
     known: Bools = np.isfinite(lasers[laser] + pixels[pixel]).all(axis=1) & np.isfinite(first)
     signal, laser, pixel, first = signal[known], laser[known], pixel[known], first[known]
-    return Scan(whitened(signal), lasers, pixels, laser, pixel, first, time.width_s / time_from_path(1.0))
+    signal = whitened(signal) if mean is None else signal
+    return Scan(signal, lasers, pixels, laser, pixel, first, time.width_s / time_from_path(1.0))
 
 
 def whitened(counts: Floats) -> Floats:

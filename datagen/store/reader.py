@@ -56,16 +56,17 @@ class Part:
     """A part of one scene's value.
 
     axes : the indices to read along each axis except the last, in this order.
-    last : a slice of step 1 along the last axis, which is never cut into chunks.
+    last : a slice of step 1 along the last axis, which is never cut into chunks; of a small field also indices.
     """
 
     axes: tuple[Ints, ...]
-    last: slice
+    last: slice | Ints
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of the part."""
-        return *map(len, self.axes), self.last.stop - self.last.start
+        last = self.last.stop - self.last.start if isinstance(self.last, slice) else len(self.last)
+        return *map(len, self.axes), last
 
     def cut(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         """A copy of this part of a whole value."""
@@ -98,23 +99,27 @@ class DatasetReader:
         self._lock = threading.Lock()
 
     def read(
-        self, name: str, scenes: Sequence[int], part: Part | None = None, out: NDArray[np.generic] | None = None
-    ) -> NDArray[np.generic]:
+        self, name: str, scenes: Sequence[int], part: Part | Sequence[Part] | None = None,
+        out: NDArray[np.generic] | None = None,
+    ) -> NDArray[np.generic]:  # fmt: skip
         """The values of scenes in the field's dtype, (len(scenes), *field.shape), or (len(scenes), *part.shape).
 
+        part : what to read of each scene, or of each scene a part of its own, all of one shape; None: all.
         out : array of this shape for the result. Each scene is cast to its dtype as it is decoded, which moves less
             memory than casting all of them afterwards.
 
         Raises `CheckError`, with file, scene and remedy, for values that are missing, damaged or not as written.
         """
         field = self._fields[name]
+        parts = [part] * len(scenes) if part is None or isinstance(part, Part) else part
+        shape = next((of.shape for of in parts if of is not None), field.shape)
         if out is None:
-            out = np.empty((len(scenes), *(part or field).shape), _stored(field))
-        value_bytes = math.prod((part or field).shape) * np.dtype(field.dtype).itemsize
+            out = np.empty((len(scenes), *shape), _stored(field))
+        value_bytes = math.prod(shape) * np.dtype(field.dtype).itemsize
         is_kept = 4 * self._schema.scenes * value_bytes <= MEMORY_BYTES
 
         def read_into(row: int) -> None:
-            scene = scenes[row]
+            scene, part = scenes[row], parts[row]
             if not field.sharded:
                 value = self._small(field, scene)
                 out[row] = value if part is None else part.cut(value)

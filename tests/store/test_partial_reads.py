@@ -85,6 +85,18 @@ def cut(whole: np.ndarray, dims: tuple[str, ...], crop: dict[str, Any], grid: tu
     return whole
 
 
+def test_fields_whose_last_axis_is_that_of_pixels_are_cut_too(tmp_path: Path) -> None:
+    config = config_of("exhaustive", 2, 2, (2, 3), 24)
+    store = config.store.model_copy(update={"fields": ("histogram", "zone_depth")})
+    path = write_dataset(config.model_copy(update={"store": store}), tmp_path / "set", fake_sample)
+    whole = np.asarray(zarr.open_group(path / "data.zarr", mode="r")["zone_depth"][:])  # type: ignore[index]
+    for pixels in ([4, 0, 5], slice(1, 4), np.s_[:, ::2]):
+        chosen = np.arange(6).reshape(2, 3)[pixels].ravel() if isinstance(pixels, tuple) else np.arange(6)[pixels]
+        data = dg.TransientDataset(path, ("zone_depth",), pixels=pixels)
+        assert np.array_equal(data[2]["zone_depth"].numpy(), whole[2][chosen])
+        assert data.shape("zone_depth") == (len(chosen),)
+
+
 @pytest.mark.usefixtures("way")
 def test_a_part_is_the_whole_cut(dataset: Path) -> None:
     manifest = read_manifest(dataset)
