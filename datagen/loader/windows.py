@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from datagen.errors import InputError
+from datagen.errors import InputError, shown
 from datagen.records.arrays import Ints
 from datagen.records.checks import check_integer
 from datagen.store import Manifest
@@ -33,10 +33,10 @@ class Windows:
         there = manifest.frames
         for name, given in (("frames", frames), ("frame_step", frame_step)):
             if given is not None and there is None:
-                raise InputError(f"{name} = {given}: the dataset has no sequences, and scenes have no frames")
+                raise InputError(f"{name} = {shown(given)}: the dataset has no sequences, and scenes have no frames")
         if frames is None:
             if frame_step is not None:
-                raise InputError(f"frame_step = {frame_step} without frames: say how long a window is, frames=8")
+                raise InputError(f"frame_step = {shown(frame_step)} without frames: say how long a window is")
             return cls(np.zeros(1, np.int64), there, False)
         assert there is not None
         check_integer("TransientDataset", "frames", frames, 1, there)
