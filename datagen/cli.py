@@ -379,12 +379,15 @@ def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
 @click.option(
     "--field", help="Field of tal and mat files: histogram, transient, background_…; left out: the first stored."
 )
-def export(dataset: str, out: str, form: str, scenes: str | None, field: str | None) -> None:
+@click.option("--frame", type=int, help="Of sequences only this frame, in tal, mat and glb files; left out: each.")
+def export(
+    dataset: str, out: str, form: str, scenes: str | None, field: str | None, frame: int | None
+) -> None:  # fmt: skip
     """Write scenes of DATASET into the folder OUT as files that other programs read."""
     if_ended("files that are finished stay, the same command writes all of them again")
     from datagen.formats import export as write
 
-    for path in write(dataset, out, form, scenes, field):
+    for path in write(dataset, out, form, scenes, field, frame):
         say(as_line(str(path)))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from datagen.errors import CheckError, InputError
@@ -14,11 +14,14 @@ from datagen.formats.recording import QUANTITIES
 from datagen.formats.tal import write_tal
 from datagen.records.checks import as_given, numbers_of, option
 from datagen.store.files import PARTIAL, check_writable
-from datagen.store.scenes import Scenes
+from datagen.store.manifest import Manifest
+from datagen.store.scenes import SceneContent, Scenes
 
 FORMATS = ("tal", "mat", "npz", "h5", "glb", "hub")
 _ENDINGS = {"tal": "hdf5"}
 _MEASURED = ("tal", "mat")
+_OF_A_FRAME = (*_MEASURED, "glb")
+"""Formats whose files hold one measurement."""
 _WRITERS: dict[str, Callable[..., None]] = {
     "tal": write_tal, "mat": write_mat, "npz": write_npz, "h5": write_h5, "glb": write_stored_glb,
 }  # fmt: skip
@@ -26,7 +29,7 @@ _WRITERS: dict[str, Callable[..., None]] = {
 
 def export(
     dataset: str | Path, out: str | Path, format: str, scenes: str | Sequence[int] | None = None,
-    field: str | None = None,
+    field: str | None = None, frame: int | None = None,
 ) -> list[Path]:  # fmt: skip
     """Write scenes of a dataset as files of another format, one file for each scene; returns their paths.
 
@@ -35,6 +38,8 @@ def export(
     scenes : indices, or a text such as `"0,3-5"`; left out: all scenes that could be made.
     field : for `tal` and `mat`: "histogram", "transient", or one of the background; left out: the first of
         `QUANTITIES` that the dataset has.
+    frame : for `tal`, `mat` and `glb` of sequences, which have a file for each frame, `scene-000003-frame-00012.…`:
+        this frame only. Files of `npz` and `h5` have all frames.
 
     Raises
     ------
@@ -48,6 +53,7 @@ def export(
             f"{as_given('field', field)}: must be one of {', '.join(QUANTITIES)}, with {option('format')} tal or mat"
         )
     root, target = Scenes(dataset), Path(out)
+    frames = _frames(root.manifest, format, frame)
     check_writable(target)
     try:
         if format == "hub":
@@ -58,8 +64,9 @@ def export(
         wanted = root.made() if asked is None else numbers_of("scenes", asked, root.manifest.schema.scenes)
         target.mkdir(parents=True, exist_ok=True)
         write, ending, written = _WRITERS[format], _ENDINGS.get(format, format), []
-        for scene in map(root.read, wanted):
-            path = target / f"scene-{scene.index:06d}.{ending}"
+        for scene in _with_frames(map(root.read, wanted), frames):
+            of_frame = "" if scene.frame is None else f"-frame-{scene.frame:05d}"
+            path = target / f"scene-{scene.index:06d}{of_frame}.{ending}"
             # The ending stays last in the name, because writers choose the format by it.
             unfinished = path.with_name(f"{path.stem}{PARTIAL}.{ending}")
             try:
@@ -71,3 +78,22 @@ def export(
     except OSError as error:
         raise CheckError(f"{error.filename or target}: {error.strerror or error}") from None
     return written
+
+
+def _frames(manifest: Manifest, format: str, frame: int | None) -> Sequence[int] | None:
+    """The frames that have files of their own; None where a file holds a whole scene."""
+    if manifest.frames is None or format not in _OF_A_FRAME:
+        if frame is not None:
+            why = "files of this format hold all frames" if manifest.frames else "this dataset has no sequences"
+            raise InputError(f"{as_given('frame', frame)}: {why}; leave it out")
+        return None
+    if frame is None:
+        return range(manifest.frames)
+    if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame < manifest.frames:
+        raise InputError(f"{as_given('frame', frame)}: must be one of 0 … {manifest.frames - 1}")
+    return [frame]
+
+
+def _with_frames(scenes: Iterable[SceneContent], frames: Sequence[int] | None) -> Iterator[SceneContent]:
+    for scene in scenes:
+        yield from [scene] if frames is None else map(scene.at_frame, frames)

@@ -35,12 +35,15 @@ _UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 def write_stored_glb(scene: SceneContent, path: Path) -> None:
-    """Write one scene of a dataset. Its room is drawn again from the dataset's seed.
+    """Write one scene of a dataset, or one frame of a sequence, in the middle of that. Its room is drawn again from
+    the dataset's seed.
 
     Raises `InputError` if a mesh file is missing or has changed, or the scenes were made in Python.
     """
     config = scene.manifest.parsed_config()
     room = scene_for(config, scene.index)
+    if scene.frame is not None:
+        room = room.at(float(scene.arrays["laser_time"].mean()))
     path.write_bytes(_glb_of(room, scene.arrays))
 
 

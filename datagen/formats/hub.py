@@ -34,6 +34,8 @@ MOST_IN_A_FOLDER = 10_000
 """Limits of a repository of the Hub: https://huggingface.co/docs/hub/storage-limits."""
 _ROWS_AT_ONCE = 100
 """Number of rows whose pictures are in memory together, and in a row group of the file."""
+_STRIP = 4
+"""Frames of a sequence that its pictures show."""
 _THUMBNAIL = 128
 """Pixels of a picture along its longer side, enough to distinguish scenes."""
 _IMAGE = {"_type": "Image"}
@@ -157,10 +159,16 @@ def _features(table: pa.Table) -> dict[str, Any]:
 
 def _pictures(scene: SceneContent) -> dict[str, bytes]:
     """Name → PNG: `thumbnail`, the detections of each point on the wall (or of each pair over time, if the points
-    form no grid), and `depth`."""
-    pictures = {"thumbnail": _png(_thumbnail(scene), "inferno")}
+    form no grid), and `depth`; of sequences some frames side by side."""
+    frames = scene.manifest.frames
+    every = [scene]
+    if frames is not None:
+        every = [
+            scene.at_frame(k) for k in np.unique(np.linspace(0, frames - 1, _STRIP).round().astype(int)).tolist()
+        ]
+    pictures = {"thumbnail": _png(np.concatenate([_thumbnail(one) for one in every], axis=1), "inferno")}
     if "depth" in scene.arrays:
-        depth = scene.arrays["depth"]
+        depth = np.concatenate([one.arrays["depth"] for one in every], axis=1)
         pictures["depth"] = _png(np.where(depth > 0, depth, np.nan), "viridis_r")
     return pictures
 

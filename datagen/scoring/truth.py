@@ -78,6 +78,8 @@ def read_truth(dataset: str | Path, split: str) -> Truth:
     is damaged.
     """
     root, manifest = location_of(dataset), read_manifest(dataset)
+    if manifest.frames is not None:
+        raise InputError(f"{dataset}: holds sequences, which cannot be scored; build one without sequence")
     fields = manifest.schema.by_name
     missing = [name for name in NEEDED if name not in fields]
     if missing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,13 +20,22 @@ from datagen.store.verify import each_committed
 
 @dataclass(frozen=True)
 class SceneContent:
-    """One scene: field → its value (`arrays`), and its parameters as in `samples.parquet`."""
+    """One scene: field → its value (`arrays`), and its parameters as in `samples.parquet`; or one `frame` of it."""
 
     root: Location
     manifest: Manifest
     index: int
     arrays: Mapping[str, NDArray[Any]]
     parameters: Mapping[str, Scalar]
+    frame: int | None = None
+
+    def at_frame(self, frame: int) -> SceneContent:
+        """A frame of a sequence, as the content of a scene that is measured once."""
+        fields = self.manifest.schema.by_name
+        arrays = {
+            name: value if fields[name].frame_bytes is None else value[frame] for name, value in self.arrays.items()
+        }
+        return replace(self, arrays=arrays, frame=frame)
 
     @property
     def time(self) -> TimeAxis:
