@@ -73,7 +73,8 @@ class Item(SurfaceMaterial):
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
     """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
-    they have it, which makes near, large and bright objects more frequent. Left out: no limit."""
+    they have it, which makes near, large and bright objects more frequent; where things move, in the median of the
+    beginning, the middle and the end of the sequence. Left out: no limit."""
     motion: Motion | None = None
     """How each of these objects moves while the frames of `sequence` are measured; what is said of its place and
     rotation, and of what must be seen, then holds at the beginning. Left out: it stands."""

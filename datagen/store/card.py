@@ -146,9 +146,16 @@ def _time(manifest: Manifest) -> str:
         return f"[{start} + i · {width}, {start} + (i + 1) · {width}) ns"
 
     finer = f", and bin `i` of `transient_bin` {covered(axis['bin_width_ps'])}" if merged > 1 else ""
+    frames = ""
+    if manifest.frames is not None:
+        sequence = manifest.config["sequence"]
+        frames = (
+            f" Each scene is a sequence: frame `f` begins f / {sequence['rate_hz']:g} s after the first, "
+            "`laser_time` says when each laser point is measured, and labels show the middle of a frame's exposures."
+        )
     return (
         f"Bin `i` covers {covered(merged * axis['bin_width_ps'])}{finer}, counted from {origin}. "
-        f"Pairing: {pairing}{pixels}."
+        f"Pairing: {pairing}{pixels}.{frames}"
     )
 
 

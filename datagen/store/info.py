@@ -10,7 +10,7 @@ from datagen.store.columns import Columns
 from datagen.store.description import Description
 from datagen.store.growth import growth_line
 from datagen.store.location import Location, location_of
-from datagen.store.manifest import read_manifest
+from datagen.store.manifest import Manifest, read_manifest
 from datagen.store.summaries import missed_lines
 from datagen.store.verify import each_committed
 
@@ -77,6 +77,7 @@ def _origin(dataset: Description) -> list[str]:
     lines = [
         f"scenes       {dataset.scenes} of {schema.scenes}"
         f"{'' if dataset.is_whole else ' (incomplete: build again to go on)'}",
+        *([] if manifest.frames is None else [f"frames       {manifest.frames} of each scene, {_rate(manifest)}"]),
         f"shards       {dataset.shards} of {schema.shards}, {schema.scenes_per_shard} scenes each",
         f"seed         {manifest.seed}",
         f"fingerprint  {manifest.fingerprint[:12]}",
@@ -87,6 +88,11 @@ def _origin(dataset: Description) -> list[str]:
         names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
     return lines + [f"mixed        {difference}" for difference in dataset.differences()]
+
+
+def _rate(manifest: Manifest) -> str:
+    sequence = manifest.config["sequence"]
+    return f"{sequence['rate_hz']:g} a second, laser points in the order {sequence['order']}"
 
 
 def _fields(dataset: Description) -> list[str]:

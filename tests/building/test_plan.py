@@ -143,3 +143,18 @@ def test_a_window_that_misses_the_room_is_said_before_and_after(
     config.write_text(CONFIG)
     assert run(["plan", str(config), "--seconds", "1"]) == 0
     assert "outside of the time axis" not in "".join(capsys.readouterr())
+
+
+def test_a_plan_of_sequences_says_frames_and_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = {
+        "scenes": 3, "transport": {"target": 0.3}, "sequence": {"frames": 3, "rate_hz": 5},
+        "scene": {"contents": [{"kind": "box", "motion": {"kind": "walk"}}]},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64, "bin_width_ps": 800}},
+        "detector": {"cycles": 50_000}, "labels": {"rows": 8, "columns": 8},
+    }  # fmt: skip
+    path = tmp_path / "walks.yaml"
+    path.write_text(json.dumps(values))
+    assert run(["plan", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "sequence     3 frames each, 5 a second, laser points in the order raster" in said
+    assert "  change     box: from frame to frame" in said and "histogram             3 × 4 × 1 × 64" in said

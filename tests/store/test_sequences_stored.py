@@ -62,6 +62,10 @@ def test_format_2_is_of_sequences_alone(tmp_path: Path) -> None:
         assert read_manifest(root).frames == (3 if number == 2 else None)
         assert json.loads((root / "croissant.json").read_text())["version"] == f"{number}.12.0"
         assert verify(root, deep=True).problems == () and "scenes       12 of 12" in info(root)
+        assert ("frames       3 of each scene, 10 a second, laser points in the order raster" in info(root)) is (
+            number == 2
+        )
+        assert ("`f` begins f / 10 s" in (root / "README.md").read_text()) is (number == 2)
 
 
 def test_datasets_of_format_1_are_so_to_the_byte() -> None:
