@@ -155,7 +155,7 @@ def _barycentric(u, v, w0, w1, w2):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _change_over_cluster(y, seen, row, device):  # type: ignore[no-untyped-def]
+def change_over_cluster(y, seen, row, device):  # type: ignore[no-untyped-def]
     """By how much paths by way of y are longer in the mean over a flat cluster than by way of its middle, metres, and
     their change along each of its two sides.
 
@@ -302,7 +302,7 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, way):  # type
     if row[17] > 0.0:
         # Times, which change most over a pixel, are those of all of a flat cluster.
         z, last_leg = way.seen.middle, row[17]
-        mean, one, two = _change_over_cluster(hidden.point, way.seen, row, room.device)
+        mean, one, two = change_over_cluster(hidden.point, way.seen, row, room.device)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
     path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
     y0, y1, y2 = hidden.corners

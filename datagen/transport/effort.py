@@ -70,11 +70,16 @@ class Source(Protocol):
         """Learn that the blocks of a group so far do not count."""
 
 
+Turns = dict[tuple[str, int], list[tuple[bool, int]]]
+"""Component and group → for each turn whether the light so far was dropped, and blocks that were added."""
+
+
 class Sampled(NamedTuple):
     """Sampled light, by component.
 
     light : (H, T) photons. error : L2 error, photons. variance : (H, T) squared standard errors. outside : (H,)
-    photons outside the window. cost : shadow rays.
+    photons outside the window. cost : shadow rays. apart : (H, T) half of the difference of two halves of the
+    replicates. turns : of each group, the effort of each turn after the pilot.
     """
 
     light: dict[str, Floats]
@@ -82,6 +87,8 @@ class Sampled(NamedTuple):
     variance: dict[str, Floats]
     outside: dict[str, Floats]
     cost: dict[str, float]
+    apart: dict[str, Floats]
+    turns: Turns
 
     def overflow(self, shape: tuple[int, int, int]) -> Floats:
         """(L, P) photons of all components outside the window."""
@@ -92,17 +99,18 @@ class Sampled(NamedTuple):
         cost = {name: self.cost.get(name, 0.0) + other.cost.get(name, 0.0) for name in self.cost | other.cost}
         return Sampled(
             self.light | other.light, self.error | other.error, self.variance | other.variance,
-            self.outside | other.outside, cost,
+            self.outside | other.outside, cost, self.apart | other.apart, self.turns | other.turns,
         )  # fmt: skip
 
 
 def sample_to_target(
-    sources: Mapping[str, Source], shape: tuple[int, int], target: float, known: Floats, known_error: float
-) -> Sampled:
+    sources: Mapping[str, Source], shape: tuple[int, int], target: float, known: Floats, known_error: float,
+    turns: Turns | None = None,
+) -> Sampled:  # fmt: skip
     """Components from their sources, sampled until the error of the whole should be `target`.
 
     shape : (H, T) number of histograms, and of bins. known : (H, T) other light of the whole, with the L2 error
-    `known_error`.
+    `known_error`. turns : the effort, if that of another scene is to be repeated.
     """
     units = [
         _Unit(name, source, group, shape[1])
@@ -112,20 +120,30 @@ def sample_to_target(
     for unit in units:
         unit.run(unit.source.first)
         unit.source.aim(unit.group, np.sqrt(unit.variance.sum(axis=1)))
-    for is_first in (True, False):
-        more = _effort(units, target, known, known_error)
-        for unit, blocks in zip(units, more, strict=True):
+    found = Sampled({}, {}, {}, {}, {}, {}, {(unit.name, unit.group): [] for unit in units})
+    for turn in range(2):
+        if turns is None:
             # A pilot that met little light by chance also sees little noise, and would be followed by few blocks.
             # Where that would matter, it only decides the effort and does not count.
-            unit.run(unit.restart() + blocks if is_first and unit.is_rough else blocks)
-        if not any(more):
+            more = [
+                (turn == 0 and unit.is_rough, blocks)
+                for unit, blocks in zip(units, _effort(units, target, known, known_error), strict=True)
+            ]
+        else:
+            more = [turns[unit.name, unit.group][turn] for unit in units]
+        for unit, (is_dropped, blocks) in zip(units, more, strict=True):
+            unit.run(unit.restart() + blocks if is_dropped else blocks)
+            found.turns[unit.name, unit.group].append((is_dropped, blocks))
+        if turns is None and turn == 0 and not any(blocks for _, blocks in more):
+            for done in found.turns.values():
+                done.append((False, 0))
             break
-    found = Sampled({}, {}, {}, {}, {})
     for name in sources:
         own = [unit for unit in units if unit.name == name]
         found.light[name], found.variance[name] = np.zeros(shape), np.zeros(shape)
-        found.outside[name] = np.zeros(shape[0])
+        found.outside[name], found.apart[name] = np.zeros(shape[0]), np.zeros(shape)
         for unit in own:
+            found.apart[name][unit.rows] += unit.apart
             found.light[name][unit.rows] += unit.mean
             found.variance[name][unit.rows] += unit.variance
             found.outside[name][unit.rows] += unit.outside
@@ -174,8 +192,9 @@ class _Unit:
     """A component in a group of histograms.
 
     light : (R, H, T + 2) sums over the `counted` blocks of each replicate, in units of the source. mean : (H, T)
-    photons. error2 : estimated squared L2 error of the mean. variance : (H, T) squared standard errors, which add up
-    to it. outside : (H,) photons outside the window. cost : shadow rays.
+    photons. apart : (H, T) half of the difference between the means of two halves of the replicates. error2 :
+    estimated squared L2 error of the mean. variance : (H, T) squared standard errors, which add up to it. outside :
+    (H,) photons outside the window. cost : shadow rays.
     """
 
     def __init__(self, name: str, source: Source, group: int, bins: int) -> None:
@@ -205,7 +224,7 @@ class _Unit:
         self.blocks, self.counted = self.blocks + blocks, self.counted + blocks
         scale = self.source.unit / self.counted
         each = self.light[..., 1:-1]
-        mean, error2, variance = estimated(each, self.source.can_blur)
+        mean, error2, variance, apart = estimated(each, self.source.can_blur)
         energy = each.sum(axis=(1, 2), dtype=np.float64)
         self.is_rough = energy.std(ddof=1) >= ROUGH * math.sqrt(REPLICATES) * energy.mean()
         # Counted twice: with one degree of freedom an error exceeds 1.5 of its root mean squares in 13 % of cases,
@@ -213,13 +232,14 @@ class _Unit:
         if energy.mean() > 0:
             error2 += energy.var(ddof=1) / REPLICATES * float(np.sum(mean**2)) / energy.mean() ** 2
         spread = float(variance.sum())
-        self.mean, self.error2 = scale * mean, scale**2 * error2
+        self.mean, self.error2, self.apart = scale * mean, scale**2 * error2, scale * apart
         self.variance = scale**2 * variance * (error2 / spread if spread > 0 else 1.0)
         self.outside = scale * self.light[..., (0, -1)].sum(axis=2, dtype=np.float64).mean(axis=0)
 
 
-def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Floats]:
-    """Mean (H, T) of replicates (R, H, T), the estimated square of its L2 error, and variances of the plain mean.
+def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Floats, Floats]:
+    """Mean (H, T) of replicates (R, H, T), the estimated square of its L2 error, variances of the plain mean, and
+    half of the difference between the means of even and odd replicates.
 
     Each window of bins is spread over boxes of the width of least error. The widths that even replicates choose are
     judged by the odd ones, and vice versa.
@@ -227,8 +247,9 @@ def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Flo
     R, H, T = each.shape
     plain, variance = np.empty((H, T)), np.empty((H, T))
     _mean_and_variance(each, plain, variance)
+    apart = 0.5 * (each[::2].mean(axis=0, dtype=np.float64) - each[1::2].mean(axis=0, dtype=np.float64))
     if not can_blur:
-        return plain, float(variance.sum()), variance
+        return plain, float(variance.sum()), variance, apart
     window = int(np.clip(WINDOW // H, *WINDOW_BINS))
     windows = -(-T // window)
     noise, bias = np.zeros((3, len(WIDTHS), windows)), np.zeros((3, len(WIDTHS), windows))
@@ -237,8 +258,9 @@ def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Flo
     judged = [(noise[j, best[m], at].sum() / R, bias[j, best[m], at].sum()) for m, j in ((0, 1), (1, 0))]
     error2 = float(np.mean([of_noise for of_noise, _ in judged]) + max(np.mean([blur for _, blur in judged]), 0.0))
     if error2 >= variance.sum():
-        return plain, float(variance.sum()), variance
-    return _spread_over_boxes(plain, WIDTHS[best[2]], window), error2, variance
+        return plain, float(variance.sum()), variance, apart
+    of_all = WIDTHS[best[2]]
+    return _spread_over_boxes(plain, of_all, window), error2, variance, _spread_over_boxes(apart, of_all, window)
 
 
 @compiled()

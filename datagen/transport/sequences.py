@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock_time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,8 +15,12 @@ from datagen.errors import InputError, InputWarning, shown
 from datagen.records import Accuracy, Capture, Clock, Scene, SequenceLight, Transient
 from datagen.records.arrays import Floats, l2_norm
 from datagen.records.checks import check_kind, check_seed
+from datagen.transport.blocks import BlocksOf
 from datagen.transport.coincidence import set_apart
-from datagen.transport.simulate import transient_of, warnings_of
+from datagen.transport.cuts import SCATTER, SHARED
+from datagen.transport.problem import Problem, components_asked
+from datagen.transport.shared_light import FAINT, Moving, Static, in_view, moving_light, static_of
+from datagen.transport.simulate import MET, Samples, sampled, transient_of, warnings_of
 
 
 def simulate_sequence(
@@ -71,7 +76,7 @@ def simulate_sequence(
     times = times_of(captures[0], clock, exposure_s)
     for line in warnings_of(set_apart(scene.at(0.0), captures[0]), captures[0], accuracy):
         warn(f"simulate_sequence: {line}", InputWarning, stacklevel=2)
-    return light_of_frames(scene, captures, times, accuracy, seed)
+    return light_of_sequence(scene, captures, times, accuracy, seed)
 
 
 def _captures(capture: Capture | Sequence[Capture], frames: int) -> list[Capture]:
@@ -106,18 +111,171 @@ def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> Floats
     return np.asarray(np.broadcast_to(times, (clock.frames, points)))
 
 
-def light_of_frames(
+def light_of_sequence(
     scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int
 ) -> SequenceLight:  # fmt: skip
     """The same as `simulate_sequence`, without checks and warnings, for arguments that were checked before.
 
     captures : one for each frame. times : (F, L) seconds.
     """
+    if all(capture is captures[0] for capture in captures):
+        if not scene.moving:
+            return _standing(scene, captures[0], times, accuracy, seed)
+        if accuracy.target is not None and captures[0].illumination == "scan":
+            light = shared_light(scene, captures[0], times, accuracy, seed)
+            if light is not None:
+                return light
+    return light_of_frames(scene, captures, times, accuracy, seed)
+
+
+def light_of_frames(
+    scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int
+) -> SequenceLight:  # fmt: skip
+    """The light of a sequence whose frames are simulated by themselves, each at the middle of its times (F, L)."""
     began = clock_time.perf_counter()
     frames = [
         _frame(scene, capture, float(at.mean()), accuracy, seed) for capture, at in zip(captures, times, strict=True)
     ]
     return _of_transients(scene, times, frames, clock_time.perf_counter() - began)
+
+
+def _standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int) -> SequenceLight:
+    """The light of a scene in which nothing moves."""
+    frames, began = len(times), clock_time.perf_counter()
+    once = _frame(scene, capture, 0.0, accuracy, seed)
+    light = _of_transients(scene, times, [once] * frames, clock_time.perf_counter() - began)
+    return replace(
+        light, static=once.total, moving=np.zeros_like(light.moving), change_stderr=np.zeros_like(light.stderr),
+        change_errors=np.zeros(frames), samplers=once.samplers, rays=once.rays,
+    )  # fmt: skip
+
+
+def shared_light(
+    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int
+) -> SequenceLight | None:
+    """The light of a sequence whose static room is simulated once; None where that cannot be.
+
+    Frames in which a mover stands in the device's view are simulated by themselves.
+    """
+    began, components = clock_time.perf_counter(), components_asked(accuracy)
+    if "primary" not in components or accuracy.target is None:
+        return None
+    static = static_of(scene, capture, times, accuracy, accuracy.target * math.sqrt(1.0 / len(components)), seed)
+    if static is None:
+        return None
+    ready = clock_time.perf_counter()
+    hidden = in_view(static, capture)
+    if hidden.all():
+        return None
+    others, moving = [name for name in components if name != "primary"], moving_light(static)
+    light = _joined(scene, times, static, moving, accuracy)
+    if others:
+        light = _with_others(light, scene, capture, accuracy, seed, others)
+    for f in np.flatnonzero(hidden).tolist():
+        light = _with_frame(light, f, _frame(scene, capture, float(times[f].mean()), accuracy, seed))
+    met = light.relative_error <= MET * accuracy.target
+    for error in light.part_errors.values():
+        met &= ~(error > MET * accuracy.each_part)
+    samplers = {name: light.samplers[name] for name in components}
+    if hidden.any():
+        whole = f"; {hidden.sum()} frames by themselves, in which a mover is in the device's view"
+        samplers["primary"] += whole
+    seconds = {"static": ready - began, "moving": clock_time.perf_counter() - ready}
+    return replace(light, met_target=met, samplers=samplers, seconds=seconds)
+
+
+def _joined(scene: Scene, times: Floats, static: Static, moving: Moving, accuracy: Accuracy) -> SequenceLight:
+    """Three bounces of a sequence, from the light of the static room and what moves."""
+    A, F = static.light, len(times)
+    shape, each = A.stderr.shape, SCATTER + SHARED
+    light, apart = moving.light.reshape(F, *shape), moving.apart.reshape(F, *shape)
+    change = np.zeros_like(apart)
+    np.abs(np.diff(apart, axis=0), out=change[1:])
+    change *= math.sqrt(each)
+    norms = np.array([l2_norm(A.total + light[f]) for f in range(F)])
+    error = np.hypot(A.relative_error * l2_norm(A.total), [moving.error(f) for f in range(F)])
+    parts = {name: A.parts[name] - of.reshape(light.shape) for name, of in moving.blocked.items()}
+    parts |= {name: of.reshape(light.shape) for name, of in moving.own.items()}
+    errors = {name: np.full(F, A.part_errors[name]) for name in moving.blocked if name in A.part_errors}
+    for name, own in moving.own.items():
+        norm = np.array([l2_norm(of) for of in own])
+        counts = norm > np.maximum(FAINT * norms, accuracy.faint_part)
+        errors[name] = np.divide(moving.own_error[name], norm, out=np.full(F, np.nan), where=counts)
+    return SequenceLight(
+        A.time, times, A.total, light, {name: parts[name] for name in scene.objects},
+        np.hypot(A.stderr, math.sqrt(each) * apart), change,
+        np.array([moving.change_error(f) if f else 0.0 for f in range(F)]),
+        A.overflow + moving.outside.reshape(F, *shape[:2]), np.tile(A.laser_points, (F, 1, 1)),
+        np.divide(error, norms, out=np.zeros(F), where=norms > 0), None, errors, {"primary": "shared cuts"},
+        {"primary": A.rays["primary"] + moving.rays},
+    )  # fmt: skip
+
+
+def _with_others(
+    light: SequenceLight, scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, names: Sequence[str]
+) -> SequenceLight:  # fmt: skip
+    """The light with further components: of each frame by itself, at the middle of its times, with the same random
+    numbers and the effort of the first frame."""
+    first: Samples | None = None
+    before, shape = np.zeros(0), light.static.shape
+    moving, stderr, overflow = light.moving.copy(), light.stderr**2, light.overflow.copy()
+    change, changes = light.change_stderr**2, light.change_errors**2
+    norms = np.array([l2_norm(light.total(f)) for f in range(light.frames)])
+    errors, rays = (light.relative_error * norms) ** 2, dict.fromkeys(names, 0.0)
+    for f in range(light.frames):
+        apart = set_apart(scene.at(float(light.times_s[f].mean())), capture)
+        problem = Problem.of(apart.scene, capture, accuracy, seed, split_parts=False, caster=apart.caster)
+        known = light.total(f).reshape(-1, shape[2])
+        samples = sampled(problem, names, known, math.sqrt(errors[f]), like=first)
+        first, found = first or samples, samples.found
+        for name in names:
+            moving[f] += found.light[name].reshape(shape)
+            stderr[f] += found.variance[name].reshape(shape)
+        overflow[f] += found.overflow(shape)
+        errors[f] += sum(error**2 for error in found.error.values())
+        noise = np.array([found.apart[name] for name in names])
+        if f:
+            square = np.square(noise - before).sum(axis=0)
+            change[f] += square.reshape(shape)
+            changes[f] += square.sum()
+        before = noise
+        rays = {name: rays[name] + found.cost[name] for name in names}
+    norms = np.array([l2_norm(light.static + of) for of in moving])
+    relative = np.divide(np.sqrt(errors), norms, out=np.zeros(len(norms)), where=norms > 0)
+    assert first is not None
+    ways = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in first.sources.items()}
+    return replace(
+        light, moving=moving, stderr=np.sqrt(stderr), overflow=overflow, change_stderr=np.sqrt(change),
+        change_errors=np.sqrt(changes), relative_error=relative, rays={**light.rays, **rays},
+        samplers={**light.samplers, **{name: f"frames: {way}" for name, way in ways.items()}},
+    )  # fmt: skip
+
+
+def _with_frame(light: SequenceLight, f: int, whole: Transient) -> SequenceLight:
+    """The light with another one in place of that of frame f."""
+    stderr, norms = light.stderr.copy(), [l2_norm(light.total(k)) for k in range(light.frames)]
+    moving, overflow, relative = light.moving.copy(), light.overflow.copy(), light.relative_error.copy()
+    moving[f], overflow[f], stderr[f] = whole.total - light.static, whole.overflow, whole.stderr
+    norms[f], relative[f] = l2_norm(whole.total), whole.relative_error
+    change, changes = light.change_stderr.copy(), light.change_errors.copy()
+    # Of frames that share nothing the errors add up.
+    for k in (f, f + 1):
+        if 0 < k < light.frames:
+            change[k] = np.hypot(stderr[k], stderr[k - 1])
+            changes[k] = math.hypot(relative[k] * norms[k], relative[k - 1] * norms[k - 1])
+    points = light.laser_points.copy()
+    points[f] = whole.laser_points
+    parts, errors = dict(light.parts), dict(light.part_errors)
+    for name in parts:
+        parts[name] = parts[name].copy()
+        parts[name][f] = whole.parts.get(name, 0.0)
+    for name in errors:
+        errors[name] = errors[name].copy()
+        errors[name][f] = whole.part_errors.get(name, np.nan)
+    return replace(
+        light, moving=moving, overflow=overflow, stderr=stderr, relative_error=relative, change_stderr=change,
+        change_errors=changes, laser_points=points, parts=parts, part_errors=errors,
+    )  # fmt: skip
 
 
 def _frame(scene: Scene, capture: Capture, time_s: float, accuracy: Accuracy, seed: int) -> Transient:

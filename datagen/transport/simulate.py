@@ -180,7 +180,7 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
     beside = Beside(l2_norm(first), of_parts)
     if "direct" in components and "primary" in components:
         # What is asked of the primary follows from the light of all, of which direct light may be most.
-        look = _sampled(problem, ["direct"], first, 0.0, ABOUT).found
+        look = sampled(problem, ["direct"], first, 0.0, ABOUT).found
         known = l2_norm(look.light["direct"] + first) ** 2 - look.error["direct"] ** 2
         beside = beside._replace(whole=max(math.sqrt(max(known, 0.0)), beside.whole))
     primary = None
@@ -188,37 +188,40 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
         # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
         primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)), beside)
     if primary is None:
-        return _estimate_of(problem, first, None, _sampled(problem, components, first, 0.0))
+        return _estimate_of(problem, first, None, sampled(problem, components, first, 0.0))
     own, so_far = primary.total, primary.total + first
-    found = _sampled(problem, others, so_far, primary.error)
+    found = sampled(problem, others, so_far, primary.error)
     norm = l2_norm(sum(found.found.light.values(), start=so_far))
     if is_enough(primary.error, l2_norm(own), norm, accuracy.target):
         return _estimate_of(problem, first, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
     rest = sum(found.found.light.values(), start=np.zeros_like(own)) + first
-    again = _sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
+    again = sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
     return _estimate_of(
-        problem, first, None, _Samples(found.sources | again.sources, found.found.replaced_by(again.found))
+        problem, first, None, Samples(found.sources | again.sources, found.found.replaced_by(again.found))
     )
 
 
-def _sampled(
-    problem: Problem, components: Sequence[str], known: Floats, error: float, target: float | None = None
-) -> _Samples:
+def sampled(
+    problem: Problem, components: Sequence[str], known: Floats, error: float, target: float | None = None,
+    like: Samples | None = None,
+) -> Samples:  # fmt: skip
     """Some components by samples, beside the `known` light (H, T), which has the L2 error `error`; with the target of
-    the problem where none is given."""
+    the problem where none is given. like : those of another scene, whose samplers and effort are taken, if given."""
     target = problem.accuracy.target if target is None else target
-    blocks = Blocks(problem) if "secondary" in components or "higher" in components else None
+    by_paths = () if like is None else [name for name, of in like.sources.items() if isinstance(of, PathsOf)]
+    by_blocks = [name for name in ("secondary", "higher") if name in components and name not in by_paths]
+    blocks = Blocks(problem) if by_blocks else None
     sources = dict[str, Source]()
     for name in components:
-        if blocks is not None and name in ("secondary", "higher"):
+        if blocks is not None and name in by_blocks:
             sources[name] = BlocksOf(blocks, 4 if name == "secondary" else problem.accuracy.max_bounces or LONGEST)
         else:
             sources[name] = PathsOf(problem, name)
     assert target is not None
-    found = sample_to_target(sources, known.shape, target, known, error)
-    if blocks is None:
-        return _Samples(sources, found)
+    found = sample_to_target(sources, known.shape, target, known, error, None if like is None else like.found.turns)
+    if blocks is None or like is not None:
+        return Samples(sources, found)
     # In enclosures of narrow lobes blocks find little; paths, which follow the lobes, are better there.
     whole = l2_norm(known + sum(found.light.values()))
     poor = [
@@ -233,17 +236,17 @@ def _sampled(
         # Whatever they claim: to choose what claims less is to choose what met less light.
         found = found.replaced_by(sample_to_target(paths, known.shape, target, known + sum(kept.values()), rest))
         sources |= paths
-    return _Samples(sources, found)
+    return Samples(sources, found)
 
 
-class _Samples(NamedTuple):
+class Samples(NamedTuple):
     """Sampled light, and where each component comes from."""
 
     sources: dict[str, Source]
     found: Sampled
 
 
-def _estimate_of(problem: Problem, first: Floats, primary: PrimaryLight | None, samples: _Samples) -> Estimate:
+def _estimate_of(problem: Problem, first: Floats, primary: PrimaryLight | None, samples: Samples) -> Estimate:
     """One estimate from the primary by cuts, if there is one, and the sampled components, beside the known light
     `first` (H, T)."""
     shape, (sources, found), target = problem.capture.shape, samples, problem.accuracy.target

@@ -1,0 +1,202 @@
+"""The own light of a part that moves, by cuts, for all its poses with one tree.
+
+The part's mesh stays where it is at time 0. Laser points and FoV points are moved instead, by the inverse of the pose
+that the part has when the laser point is measured. So each laser point may have its own time. Elements, which are cut
+in the frame of the part, get the same random numbers in all frames, and change only as far as the geometry does.
+
+Shadow rays are tested in the part's own mesh first, and then carried to where the part is: in the static room, and in
+the frames of other movers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from datagen.compiled import compiled
+from datagen.records.arrays import Floats, Ints
+from datagen.transport.arrival_times import Work
+from datagen.transport.cut_elements import Walk
+from datagen.transport.cut_steps import Asked, emit, legs_of, pour_all, widest
+from datagen.transport.cuts import AT_LEAST, Cuts
+from datagen.transport.fov_clusters import FovClusters
+from datagen.transport.geometry import get, put
+from datagen.transport.laser_points import LaserPoints
+from datagen.transport.movers import STANDS, Mover, moved, moved_back, turned_back
+
+TURNED = (3, 11, 14)
+"""Columns of a cluster's row where directions begin; its middle is in the first columns."""
+FIRST = 10
+"""Column of the index of a cluster's first valid point."""
+JOBS = 512
+"""Histograms at once, whose FoV points, moved, take 10 MB."""
+
+
+class Jobs(NamedTuple):
+    """Histograms that are looked at: laser point and pixel of each, (n,); and frames (F, n) in which they are, F for
+    each."""
+
+    laser: Ints
+    pixel: Ints
+    frame: Ints
+
+    @classmethod
+    def of(cls, cuts: Cuts, histogram: Ints, frame: Ints) -> Jobs:
+        """Those of some histograms (n,) in frames (F, n)."""
+        ends = cuts.pairs.ends[histogram]
+        return cls(ends[:, 0], ends[:, 1], frame)
+
+    def take(self, some: Ints) -> Jobs:
+        """Some of the histograms, in all of their frames."""
+        return Jobs(self.laser[some], self.pixel[some], self.frame[:, some])
+
+
+class OwnLight:
+    """The light of one mover.
+
+    cuts : the problem of all parts, with FoV points and laser points of the static room. mover, others : the part,
+    and all others that move. samples : drawn so far.
+    """
+
+    def __init__(self, cuts: Cuts, mover: Mover, others: Sequence[Mover]) -> None:
+        self.cuts, self.mover, self.others, self.samples = cuts, mover, others, 0
+        parts = len(cuts.groups)
+        self.slot, self.group = np.full(parts, -1), int(cuts.groups[mover.part])
+        self.slot[mover.part] = 0
+        frame = cuts.problem.caster
+        self.frame = np.array([*frame.center, frame.half_extent_m])
+
+    def run(self, jobs: Jobs, delta: float, error: float, number: int) -> tuple[Floats, Floats]:
+        """The light (2, F, n, T) of two replicates of some histograms, of elements that bring at most `delta`
+        photons, and what is outside of the window (2, F, n).
+
+        error : L2 error that a histogram may have, photons. number : of the run; each has random numbers of its own,
+        which are the same in all frames.
+        """
+        cuts, shape = self.cuts, jobs.frame.shape
+        light, outside = np.zeros((2, *shape, cuts.problem.capture.time.bins)), np.zeros((2, *shape))
+        asked = Asked(
+            np.full(len(self.slot), delta), self.slot, np.full(len(self.slot), error), cuts.straight, 1.0
+        )  # fmt: skip
+        squares = cuts.squares[jobs.pixel]
+        for count in np.unique(squares):
+            every = np.flatnonzero(squares == count)
+            for some in np.array_split(every, -(-len(every) * int(count) // (16 * JOBS))):
+                own, first = jobs.take(some), int(some[0])
+                pixels, of = np.unique(own.pixel, return_inverse=True)
+                rng = np.random.default_rng(cuts.seed(4, number, int(count), first))
+                pool = FovClusters.of(cuts.problem, pixels, int(count), rng)
+                both, over = np.zeros((len(some), light.shape[3])), np.zeros(len(some))
+                for r in range(2):
+                    seed = cuts.seed(5, number, self.mover.part, first, r)
+                    for f in range(shape[0]):
+                        both[:], over[:] = 0.0, 0.0
+                        self._add(own, f, of, pool, asked, r, seed, both, over)
+                        light[r, f, some], outside[r, f, some] = both, over
+        return light, outside
+
+    def _add(
+        self, jobs: Jobs, turn: int, of: Ints, pool: FovClusters, asked: Asked, replicate: int, seed: int,
+        light: Floats, outside: Floats,
+    ) -> None:  # fmt: skip
+        """Adds a replicate of the light of some histograms, each in its frame of a turn, to light (n, T) and outside
+        (n,). of : (n,) the pixel's number in `pool`."""
+        cuts, n, frame = self.cuts, len(of), jobs.frame[turn]
+        pose = np.ascontiguousarray(self.mover.pose[frame, jobs.laser])
+        others = [np.ascontiguousarray(other.pose[frame, jobs.laser]) for other in self.others]
+        room = cuts.room._replace(
+            lasers=_lasers_before(cuts.room.lasers, jobs.laser, pose), power=cuts.room.power[jobs.laser]
+        )
+        own_pool, rows = _pool_before(pool, of, pose), np.arange(n)
+        pairs, most = np.column_stack([rows, rows, rows]), cuts.most * max(n, AT_LEAST)
+        walk = Walk.of(np.random.default_rng(seed).random())
+        while walk.at[0] < n:
+            used = emit(pairs, n, asked, most, replicate, seed, room, own_pool, walk, cuts.expected, cuts.batch)
+            self.samples += used
+            visible = self._seen(pose, others, cuts.every[:used])
+            if (wide := widest(cuts.batch, visible)) > cuts.widest:
+                cuts.widest, cuts.work = wide, Work.of(light.shape[1], wide)
+            pour_all(cuts.batch, visible, light, outside, cuts.work)
+
+    def _seen(self, pose: Floats, others: Sequence[Floats], rows: Ints) -> Ints:
+        """Those samples of the batch, by number, that nothing hides: neither the part itself at its poses (n, 5), nor
+        the static room, nor other movers at theirs."""
+        cuts, stands = self.cuts, np.tile(STANDS, (len(pose), 1))
+        for leg in range(2):
+            origin, span = cuts.origin[: len(rows)], cuts.span[: len(rows)]
+            legs_of(cuts.batch, rows, leg, origin, span)
+            rows = rows[~self.mover.hides(origin, span)]
+        hides = [cuts.problem.caster.occluded_scaled, *(other.hides for other in self.others)]
+        for is_hidden, back in zip(hides, [stands, *others], strict=True):
+            for leg in range(2):
+                origin, span = cuts.origin[: len(rows)], cuts.span[: len(rows)]
+                _legs_elsewhere(cuts.batch, rows, leg, pose, back, self.frame, origin, span)
+                rows = rows[~is_hidden(origin, span)]
+        return rows
+
+
+def _lasers_before(lasers: LaserPoints, which: Ints, pose: Floats) -> LaserPoints:
+    """Some laser points before the moves of poses (n, 5), each by its own."""
+    some = lasers.take(which)
+    position, normal, to_laser = np.empty((3, len(which), 3))
+    _move_back(pose, np.arange(len(which)), some.position, position, True)
+    _move_back(pose, np.arange(len(which)), some.normal, normal, False)
+    _move_back(pose, np.arange(len(which)), some.to_laser, to_laser, False)
+    return some._replace(position=position, normal=normal, to_laser=to_laser)
+
+
+def _pool_before(pool: FovClusters, of: Ints, pose: Floats) -> FovClusters:
+    """The FoV points of the pixels `of` (n,) before the moves of poses (n, 5), each pixel by its own."""
+    each = len(pool.part) // len(pool.cluster)
+    points = (of[:, None] * each + np.arange(each)).ravel()
+    owner = np.repeat(np.arange(len(of)), each)
+    position, normal, to_sensor = np.empty((3, len(points), 3))
+    _move_back(pose, owner, pool.position[points], position, True)
+    _move_back(pose, owner, pool.normal[points], normal, False)
+    _move_back(pose, owner, pool.to_sensor[points], to_sensor, False)
+    cluster = pool.cluster[of]
+    _move_clusters(pose, of, each, cluster)
+    return FovClusters(position, normal, to_sensor, pool.part[points], pool.weight[points], pool.leg[points], cluster)
+
+
+@compiled(allocates=False)
+def _move_back(pose, owner, values, out, is_place):  # type: ignore[no-untyped-def]
+    """Sets out (n, 3) to places or directions (n, 3) before the moves of the poses of their owners (n,)."""
+    for k in range(len(out)):
+        own = pose[owner[k]]
+        v = get(values, k, 0)
+        put(out, k, 0, moved_back(own, v) if is_place else turned_back(own, v))
+
+
+@compiled(allocates=False)
+def _move_clusters(pose, of, each, cluster):  # type: ignore[no-untyped-def]
+    """Carries clusters (n, C, 18) of pixels `of` (n,), with `each` so many points, back by poses (n, 5)."""
+    for k in range(len(of)):
+        for c in range(cluster.shape[1]):
+            row = cluster[k]
+            put(row, c, 0, moved_back(pose[k], get(row, c, 0)))
+            for column in TURNED:
+                put(row, c, column, turned_back(pose[k], get(row, c, column)))
+            row[c, FIRST] += (k - of[k]) * each
+
+
+@compiled(allocates=False)
+def _legs_elsewhere(batch, rows, leg, there, back, frame, origin, span):  # type: ignore[no-untyped-def]
+    """Sets origins and spans (…, 3) of rays as `legs_of` does, after the moves of poses `there` (n, 5) of their
+    histograms and before those of `back`. frame : (4,) middle and half extent of embree's frame, metres."""
+    for n in range(len(rows)):
+        ends, row = batch.ends[rows[n]], batch.row[rows[n]]
+        for end in range(2):
+            k = 1 if end == 0 else 2 * leg
+            p = (
+                ends[k, 0] * frame[3] + frame[0], ends[k, 1] * frame[3] + frame[1], ends[k, 2] * frame[3] + frame[2]
+            )  # fmt: skip
+            p = moved_back(back[row], moved(there[row], p))
+            for c in range(3):
+                value = np.float32((p[c] - frame[c]) / frame[3])
+                if end == 0:
+                    origin[n, c] = value
+                else:
+                    span[n, c] = value - origin[n, c]

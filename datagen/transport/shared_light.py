@@ -1,0 +1,298 @@
+"""Three bounces of all frames of a sequence, with what they share.
+
+With A the light of the static room, from which moving parts are taken out, B_t what movers block of it in frame t,
+and O_t what they bring by themselves,
+
+    L_t = A + M_t,      M_t = O_t − B_t.
+
+A is one run of cuts, the same to the bit in all frames. O_t (`moving_light.py`) and B_t (`silhouettes.py`) have the
+same random numbers in all frames, and an effort of their own, which a pilot over some histograms and frames decides
+once: M_t is to be known to `part_target` of its own norm, because it is a thousandth of all light.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from datagen.records import Accuracy, Capture, Scene, Transient
+from datagen.records.arrays import Bools, Floats, Ints, l2_norm
+from datagen.transport.coincidence import set_apart
+from datagen.transport.cuts import (
+    CLOSE,
+    COARSER,
+    FEW,
+    SCATTER,
+    SHAPES,
+    SHARED,
+    STEP,
+    Cuts,
+)
+from datagen.transport.lines_of_sight import lines_of_sight
+from datagen.transport.memory import VALUES_AT_ONCE
+from datagen.transport.movers import Mover, movers_last, movers_of
+from datagen.transport.moving_light import Jobs, OwnLight
+from datagen.transport.problem import Problem
+from datagen.transport.silhouettes import Shadows
+from datagen.transport.simulate import transient_of
+
+SIDE = 24
+"""Cells along the front face of a hemicube in the pilot: 8 cm at a metre."""
+FINER = 1.2
+"""Power of a cell's size with which errors of shadows fall, as measured with 20, 40 and 80 cells a side."""
+SIDES = 24, 128
+"""Fewest and most cells along the front face."""
+CORNERS = 25.0
+"""L2 error, over the light, of the shape in time of shadows, times the square of the cells along a side: 0.10
+with 16, 0.016 with 40, alike in all replicates."""
+PILOTS = 8
+"""Most pilots: boxes and persons took 2 to 5."""
+FALLS = 0.7
+"""Power of δ with which errors of movers' own light fall: 0.6 to 0.9 of boxes and persons."""
+ELEMENTS = 16
+"""Elements of a mover in a histogram, at least: of fewer, those that a pilot missed have most of the error."""
+FAINT = 1e-4
+"""Light that moves, relative to the static light, below which it is known no better than if it had as much."""
+LINES = 3
+"""Lines of sight along a side of a pixel, on which movers may stand."""
+AT_ONCE = 4 * VALUES_AT_ONCE
+"""Numbers in the arrays of some histograms in all frames."""
+
+
+class Static(NamedTuple):
+    """The light A of the static room, and what else frames have in common.
+
+    light : of the static room. problem : of all parts, whose rays meet the static room alone. movers : at the times
+    of all frames and laser points. target : relative L2 error asked of three bounces.
+    """
+
+    light: Transient
+    problem: Problem
+    movers: list[Mover]
+    target: float
+
+
+class Moving(NamedTuple):
+    """The light M of all frames.
+
+    light : (F, H, T) photons, with a sign. apart : (F, H, T) half of the difference of two replicates. own : mover →
+    (F, H, T) light of its own. own_error : mover → (F,) L2 error of it, photons. blocked : static object → (F, H, T)
+    what of the light by way of it is blocked. outside : (F, H) photons outside the window, with a sign. shape,
+    change_shape : (F,) L2 errors that a frame, and its change from the frame before, may have in their shapes in
+    time, alike in both replicates, photons. rays : cast.
+    """
+
+    light: Floats
+    apart: Floats
+    own: dict[str, Floats]
+    own_error: dict[str, Floats]
+    blocked: dict[str, Floats]
+    outside: Floats
+    shape: Floats
+    change_shape: Floats
+    rays: float
+
+    def error(self, frame: int) -> float:
+        """L2 error of a frame's light that is claimed, photons."""
+        return math.hypot(math.sqrt(SCATTER + SHARED) * l2_norm(self.apart[frame]), float(self.shape[frame]))
+
+    def change_error(self, frame: int) -> float:
+        """L2 error of its change from the frame before that is claimed, photons."""
+        apart = self.apart[frame] - self.apart[frame - 1]
+        return math.hypot(math.sqrt(SCATTER + SHARED) * l2_norm(apart), float(self.change_shape[frame]))
+
+
+class Effort(NamedTuple):
+    """How fine all frames are: delta and error of each mover's `OwnLight.run`, and `side` of `Shadows.run`."""
+
+    delta: list[float]
+    error: float
+    side: int
+
+
+def static_of(
+    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, target: float, seed: int
+) -> Static | None:
+    """The static room of a sequence; None where its light does not come by cuts, or where no laser ray meets it.
+
+    times : (F, L) seconds. target : relative L2 error asked of three bounces.
+    """
+    if set(scene.moving) == set(scene.part_names):
+        return None
+    static = set_apart(scene.without(*scene.moving), capture)
+    three = replace(accuracy, target=target, part_target=accuracy.each_part, max_bounces=3, direct=False)
+    light = transient_of(static.scene, capture, three, seed, caster=static.caster)
+    if light.samplers["primary"] != "cuts":
+        return None
+    every = movers_last(scene, static.scene)
+    problem = Problem.of(every, capture, three, seed, split_parts=True, caster=static.caster)
+    movers = movers_of(scene, static.caster, times, len(static.scene.part_names))
+    return Static(light, problem, movers, target)
+
+
+def moving_light(static: Static) -> Moving:
+    """The light of all frames that comes to that of the static room."""
+    cuts = Cuts(static.problem, static.target)
+    owns = [
+        OwnLight(cuts, mover, [other for other in static.movers if other is not mover]) for mover in static.movers
+    ]
+    shadows = Shadows(cuts, static.movers)
+    effort = _effort(static, cuts, owns, shadows)
+    F, H, T = len(static.movers[0].pose), cuts.pairs.histograms, cuts.problem.capture.time.bins
+    found = Moving(
+        np.zeros((F, H, T)), np.zeros((F, H, T)), {own.mover.name: np.zeros((F, H, T)) for own in owns},
+        {own.mover.name: np.zeros(F) for own in owns}, {name: np.zeros((F, H, T)) for name in shadows.parts},
+        np.zeros((F, H)), np.zeros(F), np.zeros(F), 0.0,
+    )  # fmt: skip
+    step = max(AT_ONCE // (2 * F * T * (2 + len(shadows.parts))), 1)
+    for at in range(0, H, step):
+        some = np.arange(at, min(at + step, H))
+        _add(found, some, owns, shadows, effort, Jobs.of(cuts, some, np.tile(np.arange(F)[:, None], len(some))))
+    own = SHAPES * effort.error * math.sqrt(H)
+    for error in found.own_error.values():
+        np.sqrt((SCATTER + SHARED) * error + own**2, out=error)
+    for shape in (found.shape, found.change_shape):
+        np.hypot(np.sqrt(shape) * CORNERS / effort.side**2, own, out=shape)
+    return found._replace(rays=float(shadows.rays + 4 * sum(own.samples for own in owns)))
+
+
+def _add(
+    found: Moving, some: Ints, owns: Sequence[OwnLight], shadows: Shadows, effort: Effort, jobs: Jobs
+) -> None:  # fmt: skip
+    """Adds the light of some histograms (n,) in all frames; errors of movers as sums of squares."""
+    for own, delta in zip(owns, effort.delta, strict=True):
+        (one, two), outside = own.run(jobs, delta, effort.error, 2)
+        apart = 0.5 * (one - two)
+        one += two
+        one *= 0.5
+        found.own[own.mover.name][:, some] = one
+        found.own_error[own.mover.name] += np.einsum("fht,fht->f", apart, apart)
+        found.light[:, some] += one
+        found.apart[:, some] += apart
+        found.outside[:, some] += outside.mean(axis=0)
+    (one, two), outside = shadows.run(jobs, effort.side, 2)
+    for row, name in enumerate(shadows.parts):
+        found.blocked[name][:, some] = 0.5 * (one[row + 1] + two[row + 1])
+    one, two = one.sum(axis=0), two.sum(axis=0)
+    found.apart[:, some] -= 0.5 * (one - two)
+    one += two
+    one *= 0.5
+    found.light[:, some] -= one
+    found.shape[:] += np.einsum("fht,fht->f", one, one)
+    apart = np.diff(one, axis=0)
+    found.change_shape[1:] += np.einsum("fht,fht->f", apart, apart)
+    found.outside[:, some] -= outside.mean(axis=0)
+
+
+class _Pilot(NamedTuple):
+    """What a run of some histograms in some frames tells: both replicates of the light (2, …), of 1/`more` of all."""
+
+    both: Floats
+    more: float
+
+    @property
+    def error(self) -> float:
+        """L2 error of the mean, of all light, photons."""
+        return math.sqrt(self.more * (SCATTER + SHARED)) * 0.5 * l2_norm(self.both[0] - self.both[1])
+
+    @property
+    def norm(self) -> float:
+        """L2 norm of all light, photons, without its noise; the square is at least a tenth of what it is with it."""
+        square = self.more * l2_norm(self.both.mean(axis=0)) ** 2
+        return math.sqrt(max(square - self.more * 0.25 * l2_norm(self.both[0] - self.both[1]) ** 2, 0.1 * square))
+
+
+def _moving(looks: Sequence[_Pilot], blocked: _Pilot) -> _Pilot:
+    """The light of all movers, less what they block."""
+    return _Pilot(sum((look.both for look in looks), start=-blocked.both), blocked.more)
+
+
+def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort:
+    """How fine all frames have to be, from a pilot over some histograms, each in some frame."""
+    F, H = len(static.movers[0].pose), cuts.pairs.histograms
+    count = min(FEW, F * H)
+    rng = np.random.default_rng(cuts.seed(7))
+    # Evenly spread over histograms, and, by a permutation, over frames.
+    histogram = (np.arange(count) * H // count) % H if count <= H else np.arange(count) % H
+    frame = rng.permutation(np.arange(count) * F // count % F)
+    jobs, more = Jobs.of(cuts, histogram, frame[None]), F * H / count
+    whole = math.sqrt(F) * l2_norm(static.light.total)
+    blocked = _Pilot(shadows.run(jobs, SIDE, 1)[0].sum(axis=1), more)
+    # Of each mover, and of their shadows, an equal share.
+    share, per = math.sqrt(1.0 / (1 + len(owns))), math.sqrt(F * H)
+    looks = [_Pilot(own.run(jobs, np.inf, np.inf, 1)[0], more) for own in owns]
+    asked = share * _asked(static, _moving(looks, blocked).norm, whole)
+    delta, again, few = np.full(len(owns), COARSER * asked / per), *np.full((2, len(owns)), True)
+    for turn in range(PILOTS):
+        for m in np.flatnonzero(again).tolist():
+            before = owns[m].samples
+            looks[m] = _Pilot(owns[m].run(jobs, delta[m], asked / per, 10 + turn)[0], more)
+            few[m] = owns[m].samples - before < 2 * count * ELEMENTS
+        # With less noise there is less light than the look seemed to meet.
+        asked = share * _asked(static, _moving(looks, blocked).norm, whole)
+        error = np.maximum([look.error for look in looks], 1e-3 * asked)
+        wanted = np.minimum(delta * (asked / error) ** (1.0 / FALLS), np.where(few, delta / CLOSE**2, delta))
+        again = CLOSE * wanted < delta
+        if turn == PILOTS - 1 or not again.any():
+            break
+        delta = np.where(again, np.maximum(wanted, delta / STEP), delta)
+    delta = np.maximum(wanted, delta / STEP)
+    side = max(
+        SIDE * (max(blocked.error, 1e-100) / asked) ** (1.0 / FINER), math.sqrt(CORNERS * blocked.norm / asked)
+    )  # fmt: skip
+    return Effort(list(delta), asked / per, 2 * round(0.5 * float(np.clip(side, *SIDES))))
+
+
+def _asked(static: Static, norm: float, whole: float) -> float:
+    """L2 error that is asked of the light that moves, of all frames together, photons, where its L2 norm is `norm`,
+    and that of the static light of all frames `whole`."""
+    accuracy = static.problem.accuracy
+    # What is fainter than what counts as an object's light is known no better than if it counted.
+    own = accuracy.each_part * max(norm, FAINT * whole, accuracy.faint_part)
+    return max(min(own, static.target * math.hypot(whole, norm)), 1e-100)
+
+
+def in_view(static: Static, capture: Capture) -> Bools:
+    """(F,) whether a mover hides a laser point from the laser, or any of what a pixel sees from the sensor."""
+    problem, sensor = static.problem, capture.sensor
+    points, pairs = problem.points, problem.pairs.ends
+    found, lit = np.zeros(len(static.movers[0].pose), np.bool_), np.flatnonzero(points.part >= 0)
+    sight = lines_of_sight(problem.caster, sensor, LINES)
+    for frame, mover in itertools.product(range(len(found)), static.movers):
+        pose = mover.pose[frame]
+        # Where all laser points have one time, each pixel is looked at once.
+        is_one = bool((pose == pose[:1]).all())
+        laser, pixel = (np.zeros(len(sensor.pixels), np.int64), np.arange(len(sensor.pixels))) if is_one else pairs.T
+        found[frame] |= _hides(static, mover, pose[lit], capture.laser.position, points.position[lit])
+        for line in range(LINES * LINES):
+            some = sight.valid[pixel, line]
+            to = sight.position[pixel[some], line]
+            found[frame] |= _hides(static, mover, pose[laser[some]], sensor.position, to)
+    return found
+
+
+def _hides(static: Static, mover: Mover, pose: Floats, device: Floats, points: Floats) -> bool:
+    """Whether a mover at poses (n, 5) stands between the device (3,) and points (n, 3)."""
+    low, high = mover.vertices.min(axis=0), mover.vertices.max(axis=0)
+    middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    a, b = _before(pose, device), _before(pose, points)
+    # Only what passes the mover's sphere is worth a ray.
+    along = np.clip(np.einsum("nk,nk->n", middle - a, b - a) / np.maximum(((b - a) ** 2).sum(axis=1), 1e-300), 0, 1)
+    near = np.linalg.norm(a + along[:, None] * (b - a) - middle, axis=1) <= radius
+    if not near.any():
+        return False
+    caster = static.problem.caster
+    start, end = caster._scaled(a[near]), caster._scaled(b[near])
+    return bool(mover.hides(start, end - start).any())
+
+
+def _before(pose: Floats, points: Floats) -> Floats:
+    """Points (n, 3), or one (3,), before the moves of poses (n, 5)."""
+    d = points - pose[:, 2:]
+    c, s = pose[:, 0], pose[:, 1]
+    return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]])
