@@ -214,3 +214,21 @@ def test_a_flood_and_pairs_have_frames_too() -> None:
         sample = sample_of_setup(Setup.of(config, 0, scene_of(WALK), scan, clock=CLOCK))
         assert sample.arrays["histogram"].shape == sample.arrays["transient"].shape == (FRAMES, points, 4, 256)
         assert sample.arrays["laser_time"].shape == (FRAMES, points)
+
+
+def test_how_light_is_split_into_what_stands_and_what_moves_does_not_matter(sample: dg.Sample) -> None:
+    """But for rounding: light that stands apart from what moves, which has a sign, gives the same sample."""
+    setup = setup_of(scene_of(WALK, None))
+    light = simulated_frames(setup)
+    whole = light.frames.static + light.frames.moving
+    static = whole.mean(axis=0)
+    shared = replace(light.frames, static=static, moving=whole - static, samplers={"primary": "shared cuts"})
+    assert (shared.moving < 0).any()
+    other = sequence_from(setup, replace(light, frames=shared))
+    for name, values in sample.arrays.items():
+        if values.dtype.kind == "f":
+            np.testing.assert_allclose(other.arrays[name], values, rtol=1e-5, atol=1e-5 * np.nanmax(abs(values)))
+        else:
+            assert np.mean(other.arrays[name] != values) < 1e-3, name
+    assert other.parameters["transient.clipped"] == 0.0
+    assert other.parameters["transient.energy"] == pytest.approx(sample.parameters["transient.energy"])
