@@ -301,7 +301,8 @@ def simulated_frames(setup: Setup) -> LightOfFrames:
     background = None
     if any(name in BACKGROUND_FIELDS for name in setup.fields):
         with _timed(setup.seconds, "background"):
-            background = lit.background().total
+            apart = set_apart(lit.scene.at(0.0), capture)
+            background = replace(lit, scene=apart.scene).background().total
     return LightOfFrames(light, lit, effects, background)
 
 

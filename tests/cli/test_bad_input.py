@@ -149,6 +149,7 @@ BESIDE = {
     "plan": "config.yaml", "build": "config.yaml out", "verify": "set", "show": "set", "replay": "set",
     "preview": "set", "sheet": "config.yaml out.png", "suite": "letters-1 out", "import": "a.mat out",
     "baseline": "mean set out.npz", "bench accuracy": "config.yaml", "bench stages": "config.yaml",
+    "export": "set out --format mat",
 }  # fmt: skip
 """What else a command needs before it looks at its whole numbers."""
 MEANT = {
