@@ -18,7 +18,7 @@ from datagen.records.arrays import Floats
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport import transient_of
 from datagen.transport.rays import Raycaster
-from datagen.transport.sequences import light_of_frames
+from datagen.transport.sequences import light_of_sequence
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Light:
     def frames(self, times_s: Floats) -> SequenceLight:
         """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L)."""
         captures = [self.capture] * len(times_s)
-        return light_of_frames(self.scene, captures, times_s, self.accuracy, self.seed)
+        return light_of_sequence(self.scene, captures, times_s, self.accuracy, self.seed)
 
     def frames_without(self, name: str, times_s: Floats) -> SequenceLight:
         """The light of the frames without one part, from the same random numbers."""
