@@ -29,6 +29,11 @@ def simulate_sequence(
 ) -> SequenceLight:  # fmt: skip
     """The light of all frames of a scene whose parts move along their paths.
 
+    Three bounces of a scan with a target are simulated once for what stands, and for each frame only as far as they
+    move: each laser point at its own time, with an error of `part_target` of the light that moves (docs/physics.md).
+    All other light comes frame by frame, at the middle of the frame, with the same random numbers:
+    `SequenceLight.samplers` tells which.
+
     Parameters
     ----------
     scene : what is looked at; its paths say where its parts are at each time.

@@ -237,9 +237,10 @@ class Shadows:
 
     def _light(
         self, cells: Cells, pair: Ints, lasers: Ints, pixels: Ints, which: int, replicate: int, side: int, ends: Ends
-    ) -> tuple[Ints, Floats]:
-        """The first number of each pair's light, and light (m,) that goes through the cells of its laser point
-        (`which` 0) or pixel (1), photons, if no mover were there. pair : (n, 2) index of laser point and pixel."""
+    ) -> tuple[Ints, Floats, Floats]:
+        """The first number of each pair's light; light (m,) that goes through the cells of its laser point (`which`
+        0) or pixel (1), photons, if no mover were there; and room for time and two widths (m, 3) of it, the widths
+        negative. pair : (n, 2) index of laser point and pixel."""
         view = pair[:, which]
         count = np.diff(cells.first)[view]
         first = np.concatenate([[0], np.cumsum(count)])
@@ -256,7 +257,7 @@ class Shadows:
             if k:
                 own[row[:k][self.caster.occluded_scaled(origin[:k], span[:k])]] = 0.0
             self.rays += k
-        return first, light
+        return first, light, np.full((len(light), 3), -1.0)
 
 
 @compiled(allocates=False)
@@ -475,11 +476,12 @@ def _deposit(histogram, t, one, two, light):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _pour(cell, legs, bits, light, cluster, room, side, histogram):  # type: ignore[no-untyped-def]
-    """Adds what covered places take of the light of a cell to histogram (T,); returns what is outside of it.
+def _spread(cell, legs, bits, cluster, room, side):  # type: ignore[no-untyped-def]
+    """What covered places take of the light of a cell; its time, bins, and the two widths that it is spread over.
 
     cluster : (18,) of the pixel.
     """
+    light = 1.0
     count, mean_a, mean_b, aa, bb, ab = _places_of(bits)
     a, b = toward(side, cell.face, cell.i + mean_a, cell.j + mean_b)
     own = _density(cell, legs, a, b)
@@ -515,7 +517,7 @@ def _pour(cell, legs, bits, light, cluster, room, side, histogram):  # type: ign
     most, every = max(w1, w2, w3, w4), total + w3 + w4
     rest = min(max(every - most, 0.0), 0.5 * every)
     wide, narrow = math.sqrt(every - rest), math.sqrt(rest)
-    return _deposit(histogram, (path + mean) * room.per_metre + late - room.start, wide, narrow, light)
+    return light, (path + mean) * room.per_metre + late - room.start, wide, narrow
 
 
 @compiled(forceinline=True, allocates=False)
@@ -655,12 +657,20 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
             k = x_cells.at[view_x, drawn_x.cell[e]]
             own = x_light[1][x_light[0][pair] + k - x_cells.first[view_x]]
             if own > 0.0 and drawn_x.near[e] < x_cells.depth[k]:
-                cell, legs = (
-                    _cell_at(x_cells, k, x_views, i, ends, side),
-                    _legs_of(ends, i, p, p * points + x_cells.point[k]),
-                )
+                known = x_light[2][x_light[0][pair] + k - x_cells.first[view_x]]
                 to = light[ends.slot[ends.part[x_cells.face[k]]], h]
-                outside[h] += _pour(cell, legs, drawn_x.bits[e], own, row, room, side, to)
+                if drawn_x.bits[e] != FULL or known[1] < 0.0:
+                    cell, legs = (
+                        _cell_at(x_cells, k, x_views, i, ends, side),
+                        _legs_of(ends, i, p, p * points + x_cells.point[k]),
+                    )
+                    taken, time, wide, narrow = _spread(cell, legs, drawn_x.bits[e], row, room, side)
+                    if drawn_x.bits[e] == FULL:
+                        # Whatever the frame.
+                        known[0], known[1], known[2] = time, wide, narrow
+                else:
+                    taken, time, wide, narrow = 1.0, known[0], known[1], known[2]
+                outside[h] += _deposit(to, time, wide, narrow, taken * own)
         if drawn_z.first[mz] == drawn_z.first[mz + 1]:
             continue
         _take(drawn_x, mx, bits[0], near[0], True)
@@ -683,6 +693,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                 found = _seen_but_not_lit(cell, legs, nearest, shift, i, x_views, side, bits, near)
                 if found != 0:
                     to = light[ends.slot[ends.part[z_cells.face[k]]], h]
-                    outside[h] += _pour(cell, legs, found, own, row, room, side, to)
+                    taken, time, wide, narrow = _spread(cell, legs, found, row, room, side)
+                    outside[h] += _deposit(to, time, wide, narrow, taken * own)
         _take(drawn_x, mx, bits[0], near[0], False)
         _take(drawn_z, mz, bits[1], near[1], False)
