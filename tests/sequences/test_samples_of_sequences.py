@@ -104,7 +104,9 @@ def test_light_and_counts_are_those_of_the_frames(sample: dg.Sample) -> None:
     np.testing.assert_array_equal(arrays["transient_stderr"], light.stderr)
     exposure = dg.Exposure(cycles=200_000, photons_per_pulse=1e9)
     for frame in range(FRAMES):
-        due = dg.expected_histogram(light.total(frame), light.time, dg.Spad(pde=0.3, mode="ideal"), exposure).sum()
+        due = dg.expected_histogram(
+            np.maximum(light.total(frame), 0.0), light.time, dg.Spad(pde=0.3, mode="ideal"), exposure
+        ).sum()
         counts = arrays["histogram"][frame].sum()
         assert abs(counts - due - 100 * 0.02 * 9) < 5 * np.sqrt(due) and due > 1000
     # Counts of a frame have noise of their own.
@@ -182,8 +184,8 @@ def test_light_below_zero_is_clipped_in_the_rate_alone() -> None:
     sample = sequence_from(setup, replace(light, frames=replace(frames, moving=below)))
     assert sample.arrays["transient"][where] == pytest.approx(-1e-9)
     assert sample.arrays["histogram"][where] < 5
-    assert 0 < float(sample.parameters["transient.clipped"]) <= 1
-    assert sequence_from(setup, light).parameters["transient.clipped"] == 0.0
+    few = float(sequence_from(setup, light).parameters["transient.clipped"])
+    assert 0 <= few < 0.01 and few < float(sample.parameters["transient.clipped"]) <= 1
 
 
 def test_exposures_that_do_not_fit_or_carry_counts_over_are_refused() -> None:
@@ -230,5 +232,4 @@ def test_how_light_is_split_into_what_stands_and_what_moves_does_not_matter(samp
             np.testing.assert_allclose(other.arrays[name], values, rtol=1e-5, atol=1e-5 * np.nanmax(abs(values)))
         else:
             assert np.mean(other.arrays[name] != values) < 1e-3, name
-    assert other.parameters["transient.clipped"] == 0.0
     assert other.parameters["transient.energy"] == pytest.approx(sample.parameters["transient.energy"])
