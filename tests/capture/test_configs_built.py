@@ -23,7 +23,8 @@ def test_every_ready_configuration_is_built(path: Path, tmp_path: Path) -> None:
     assert verify(tmp_path / "set").problems == ()
     data = dg.TransientDataset(str(tmp_path / "set"), fields=("histogram",))
     counts = np.asarray(data[0]["histogram"])
-    assert counts.shape == config.histogram_shape
+    frames = () if config.sequence is None else (config.sequence.frames,)
+    assert counts.shape == (*frames, *config.histogram_shape)
     assert counts.sum() > 0
     # What a dataset states of its configuration is all of it: its scenes can be made again.
     stored = read_manifest(tmp_path / "set").parsed_config()

@@ -23,7 +23,7 @@ def test_rooms_of_every_ready_configuration(path: Path) -> None:
     check_scene_config(config.scene)
     draws = []
     for index in range(2):
-        scene = generate_scene(config.scene, config.seed, index)
+        scene = generate_scene(config.scene, config.seed, index, clock=config.clock)
         draws.append(scene.parameters["draws"])
         assert_room_laws(scene, np.random.default_rng(index))
         assert capture_for(config, scene, config.seed, index).shape == config.capture.shape
