@@ -40,5 +40,10 @@ def inside(figure: Figure, meaning: str) -> str:
     """A figure as a PNG within the page itself; `meaning` is read aloud to those who cannot see it."""
     file = io.BytesIO()
     figure.savefig(file, format="png", metadata={"Software": None})
-    data = base64.b64encode(file.getvalue()).decode()
-    return f'<p><img alt="{escape(meaning)}" src="data:image/png;base64,{data}"></p>'
+    return picture(file.getvalue(), "png", meaning)
+
+
+def picture(content: bytes, kind: str, meaning: str) -> str:
+    """The bytes of a picture within the page itself. kind : `png` or `gif`. meaning : as for `inside`."""
+    data = base64.b64encode(content).decode()
+    return f'<p><img alt="{escape(meaning)}" src="data:image/{kind};base64,{data}"></p>'

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from datagen.design.scene_for import scene_for
 from datagen.errors import InputError, InputWarning
 from datagen.labels import OBJECT_TABLES, make_labels
 from datagen.labels.frame import scan_place
@@ -19,12 +20,13 @@ from datagen.records.arrays import Floats
 from datagen.records.checks import option
 from datagen.report.curves import draw_counts, draw_parts
 from datagen.report.labels import DRAWN, draw_label, labels_page
+from datagen.report.moving import animation
 from datagen.report.replay import Light, Replay, StoredScene, read_scene, replay
 from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_opened, draw_plan
 from datagen.report.scans import Raster, draw_time_slice, scan_page
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
 from datagen.report.strip import strip_page
-from datagen.report.style import captioned, house_style, save_png
+from datagen.report.style import captioned, house_style, save_gif, save_png
 from datagen.store.files import check_writable
 from datagen.store.summaries import OVER_M
 
@@ -33,12 +35,13 @@ PAGES = ("overview", "histogram", "labels", "scan")
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
-    """Draw scene `index` of a dataset as PNGs and return their paths, the overview first.
+    """Draw scene `index` of a dataset as PNGs, of a sequence a GIF too, and return their paths, the overview first.
 
     An overview with the room in plan and opened, light by part and counts; counts over their expectation; the labels;
     and slices of the scan where it has several channels. For geometry and light by part, which a dataset does not
     hold, the scene is simulated again from the stored configuration and seed; counts and labels are the stored ones.
-    Of a sequence these show the middle frame, and a last picture all frames.
+    Of a sequence these show the middle frame, another picture all frames, and an animation in real time (GIF) what
+    moves in the room and what changes in the counts.
     Where a room cannot be drawn (scenes made in Python, imported captures, mesh files that are gone) only stored
     measurements and labels are drawn.
 
@@ -61,14 +64,27 @@ def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list
         why = why_roomless(stored.config, stored.missing)
         made = pages(stored, replay(stored)) if why is None else stored_pages(stored, why)
         saved = [save_png(figure, folder / f"scene-{index:06d}-{name}.png") for name, figure in made]
-        strip = frames_page(whole)
-        return saved if strip is None else [*saved, save_png(strip, folder / f"scene-{index:06d}-frames.png")]
+        strip, moving = frames_page(whole), frames_animation(whole)
+        if strip is not None:
+            saved.append(save_png(strip, folder / f"scene-{index:06d}-frames.png"))
+        if moving is not None:
+            saved.append(save_gif(moving, folder / f"scene-{index:06d}-frames.gif"))
+        return saved
 
 
 def frames_page(stored: StoredScene) -> Figure | None:
     """The frames of a stored sequence side by side; None of a scene that is measured once, or of which nothing is
     stored that could be shown. To be used within `house_style()`."""
     return None if stored.frames is None else strip_page(stored, scene_of_stored(stored.at_frame()))
+
+
+def frames_animation(stored: StoredScene) -> bytes | None:
+    """A GIF of a stored sequence; None of a scene that is measured once, or of which no counts and no light are
+    stored. To be used within `house_style()`."""
+    if stored.frames is None:
+        return None
+    roomless = why_roomless(stored.config, stored.missing)
+    return animation(stored, scene_for(stored.config, stored.index) if roomless is None else None)
 
 
 def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -> Iterator[tuple[str, Figure]]:

@@ -13,8 +13,8 @@ from datagen.design.scene_for import scene_for
 from datagen.errors import InputError, InputWarning
 from datagen.records.checks import as_given, option
 from datagen.report.explorer import explorer, scene_data
-from datagen.report.html import head, inside, table
-from datagen.report.pages import frames_page, pages, stored_pages
+from datagen.report.html import head, inside, picture, table
+from datagen.report.pages import frames_animation, frames_page, pages, stored_pages
 from datagen.report.parameter_plots import parameter_page, varying
 from datagen.report.replay import config_of, read_scene, replay
 from datagen.report.stored import why_roomless
@@ -34,7 +34,7 @@ SCENES = 3
 def preview(dataset: str | Path, out_html: str | Path | None = None, scenes: int = SCENES) -> Path:
     """Write one HTML file about a dataset and return its path: the text of `info`, fields, rooms with their labels to
     turn and filter, some scenes in full with their scans to slide through, and the drawn parameters. Of sequences the
-    middle frame is shown, and a strip of all frames of those in full.
+    middle frame is shown, and a strip and an animation of all frames of those in full.
 
     Pictures, numbers and script are inside the file; it loads nothing else. Of a dataset that is still being built
     the committed scenes are shown.
@@ -79,23 +79,27 @@ def _page(root: Path, dataset: Description, scenes: int) -> Iterator[str]:
         stored, strip = whole.at_frame(), frames_page(whole) if record.index in full else None
         if strip is not None:
             pictures.append(inside(strip, f"scene {record.index}, frames"))
+        moving = frames_animation(whole) if record.index in full else None
+        if moving is not None:
+            meaning = f"scene {record.index}, animation of its frames: what moves, and what changes in the light"
+            pictures.append(picture(moving, "gif", meaning))
         if roomless is not None:
-            for name, picture in stored_pages(stored, roomless):
-                pictures.append(inside(picture, f"scene {record.index}, {name}"))
+            for name, figure in stored_pages(stored, roomless):
+                pictures.append(inside(figure, f"scene {record.index}, {name}"))
             continue
         replayed = replay(stored) if record.index in full else None
         scene = stored.scene_of(scene_for(config, record.index)) if replayed is None else replayed.scene
         shown.append(scene_data(stored, scene, _error(record), replayed))
         if replayed is not None:
-            for name, picture in pages(stored, replayed, ["overview"]):
-                pictures.append(inside(picture, f"scene {record.index}, {name}"))
+            for name, figure in pages(stored, replayed, ["overview"]):
+                pictures.append(inside(figure, f"scene {record.index}, {name}"))
     yield explorer(shown, dataset.made) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
     yield "<h2>Scenes in full</h2>"
     yield from pictures
-    figure = parameter_page(varying(dataset.parameters))
+    drawn_page = parameter_page(varying(dataset.parameters))
     yield f"<h2>What was drawn</h2><p>Over {dataset.made} scenes; parameters that do not vary are left out.</p>"
-    if figure is not None:
-        yield inside(figure, "histograms of the drawn parameters")
+    if drawn_page is not None:
+        yield inside(drawn_page, "histograms of the drawn parameters")
     drawn = [row for row in dataset.ranges() if not row[0].endswith("seed")]
     yield table(("parameter", "least", "median", "most"), drawn)
     yield f"<h2>The dataset</h2><pre>{escape(info_of(root, dataset))}</pre>"

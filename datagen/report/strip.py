@@ -30,7 +30,7 @@ def strip_page(stored: StoredScene, scene: Scene | None) -> Figure | None:
     scene : that of the labels; None if it is not known, and labels are not drawn.
     """
     measured = next((name for name in ("transient", *QUANTITIES) if name in stored.arrays), None)
-    label = next((name for name in (*SHOWN_FIRST, *DRAWN) if name in stored.arrays), None) if scene else None
+    label = label_of(stored) if scene else None
     assert stored.frames is not None
     if measured is None and label is None:
         return None
@@ -62,17 +62,27 @@ def strip_page(stored: StoredScene, scene: Scene | None) -> Figure | None:
     return figure
 
 
-def _draw_labels(cells: list[Axes], scene: Scene, values: NDArray[np.generic], label: str, times_s: Floats) -> None:
-    """One label in several frames, all with the colours that the values of all of them have together."""
+def label_of(stored: StoredScene) -> str | None:
+    """The label that pictures of a sequence show; None where none is stored."""
+    return next((name for name in (*SHOWN_FIRST, *DRAWN) if name in stored.arrays), None)
+
+
+def label_images(scene: Scene, values: NDArray[np.generic], label: str) -> tuple[list[LabelImage], dict[str, Any]]:
+    """One label in several frames, and how `imshow` draws them all: with the colours of all their values together."""
     images = [LabelImage.of(scene, label, one) for one in values]
-    norm = None if images[0].values.ndim == 3 else images[0].norm
-    if norm is not None:
-        every = np.ma.stack([image.values for image in images])
-        if np.ma.count(every):
-            norm.autoscale(every)
+    if images[0].values.ndim == 3:
+        return images, {}
+    norm, every = images[0].norm, np.ma.stack([image.values for image in images])
+    if np.ma.count(every):
+        norm.autoscale(every)
+    return images, {"cmap": images[0].look.colors, "norm": norm}
+
+
+def _draw_labels(cells: list[Axes], scene: Scene, values: NDArray[np.generic], label: str, times_s: Floats) -> None:
+    """One label in several frames, side by side."""
+    images, style = label_images(scene, values, label)
     for axes, image, time_s in zip(cells, images, times_s, strict=True):
         (left, bottom), (right, top) = image.low, image.high
-        style: dict[str, Any] = {} if norm is None else {"cmap": image.look.colors, "norm": norm}
         axes.imshow(image.values, extent=(left, right, bottom, top), interpolation="nearest", **style)
         axes.set(title=f"{time_s:.2f} s", xticks=[], yticks=[])
 

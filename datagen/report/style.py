@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -143,10 +143,19 @@ def check_png(out: str | Path, argument: str = "out") -> Path:
 
 def save_png(figure: Figure, path: Path) -> Path:
     """Write the figure; the file depends on the picture alone (no time, no version). Returns `path`."""
+    return _save(path, lambda file: figure.savefig(file, format="png", metadata={"Software": None}))
+
+
+def save_gif(content: bytes, path: Path) -> Path:
+    """Write the bytes of an animation. Returns `path`."""
+    return _save(path, lambda file: file.write(content))
+
+
+def _save(path: Path, write: Callable[[BinaryIO], object]) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
-            figure.savefig(file, format="png", metadata={"Software": None})
+            write(file)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be written ({error.strerror or error}); name another output folder"

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 from datasets import write_dataset
+from matplotlib.patches import Polygon
+from numpy.typing import NDArray
+from PIL import Image, ImageSequence
 
 import datagen as dg
 from datagen.config import config_from_mapping
+from datagen.design.scene_for import scene_for
 from datagen.labels import ViewFrame
-from datagen.report.pages import frames_page, show
+from datagen.report.moving import draw_change, draw_movers, durations_ms
+from datagen.report.pages import frames_animation, frames_page, show
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene, replay
-from datagen.report.style import house_style
+from datagen.report.style import house_style, new_figure
 from tests.sequences.rooms_that_move import box, capture, room
 
 pytestmark = pytest.mark.usefixtures("builds_here")
@@ -63,9 +70,82 @@ def test_the_strip_shows_what_moves(walks: Path) -> None:
 
 def test_show_and_preview_have_it(walks: Path, tmp_path: Path) -> None:
     names = [path.name for path in show(walks, 0, tmp_path / "shown")]
-    assert names[0] == "scene-000000-overview.png" and names[-1] == "scene-000000-frames.png"
+    assert names[0] == "scene-000000-overview.png"
+    assert names[-2:] == ["scene-000000-frames.png", "scene-000000-frames.gif"]
     text = preview(walks, tmp_path / "walks.html", 1).read_text()
     assert 'alt="scene 0, frames"' in text
+    moving = base64.b64encode((tmp_path / "shown" / "scene-000000-frames.gif").read_bytes()).decode()
+    assert text.count("data:image/gif") == 1 and f'light" src="data:image/gif;base64,{moving}"' in text
+
+
+def frames_of(content: bytes) -> tuple[NDArray[np.uint8], list[int]]:
+    """(frame, row, column, 3) pixels of a GIF, and the milliseconds that each is shown."""
+    with Image.open(io.BytesIO(content)) as gif:
+        assert gif.info["loop"] == 0
+        shown = [(np.asarray(one.convert("RGB")), one.info["duration"]) for one in ImageSequence.Iterator(gif)]
+    return np.stack([pixels for pixels, _ in shown]), [span for _, span in shown]
+
+
+def test_the_animation_runs_in_real_time_and_is_small(walks: Path) -> None:
+    with house_style():
+        first, again = frames_animation(read_scene(walks, 0)), frames_animation(read_scene(walks, 0))
+    assert first is not None and first == again
+    pixels, spans = frames_of(first)
+    assert spans == [250] * 5 and len(first) < 5 * 60_000
+    assert pixels.shape[2] <= 830
+    # In every frame something has changed: on the left the box, on the right the light.
+    for side in np.array_split(pixels[:, 40:-80], 2, axis=2):
+        assert (np.abs(np.diff(side.astype(int), axis=0)).sum(axis=-1) > 60).any(axis=(1, 2)).all()
+
+
+def test_the_box_is_drawn_where_it_is(walks: Path) -> None:
+    stored = read_scene(walks, 0)
+    room, times_s = scene_for(stored.config, 0), stored.arrays["laser_time"].mean(axis=1)
+    with house_style():
+        axes = new_figure(5, 5).add_subplot()
+        update = draw_movers(axes, room, stored, times_s)
+    (drawn,) = [patch for patch in axes.patches if isinstance(patch, Polygon)]
+    for frame, time_s in enumerate(times_s):
+        update(frame)
+        there = room.at(time_s)
+        corners = there.vertices[np.unique(there.triangles[there.faces_of("box")]), :2]
+        distance = np.linalg.norm(drawn.get_xy()[:4, None] - corners[None], axis=-1)
+        assert distance.min(axis=1).max() < 1e-6
+
+
+def test_the_right_side_is_the_change_of_the_counts(walks: Path) -> None:
+    stored = read_scene(walks, 0)
+    with house_style():
+        figure = new_figure(5, 5)
+        axes = figure.add_subplot()
+        update = draw_change(figure, axes, stored, "histogram")
+    counts = stored.arrays["histogram"].astype(float).reshape(5, 2, 2, 64).sum(axis=1)
+    change, (image,) = counts - counts.mean(axis=0), axes.images
+    limits, made = image.get_clim(), []
+    for frame in range(5):
+        update(frame)
+        made.append(np.asarray(image.get_array()))
+        assert image.get_clim() == limits == (-limits[1], limits[1])
+    cells, start = made[0].shape[1], round(image.get_extent()[0] / 0.8)
+    assert cells > 8
+    np.testing.assert_allclose(made, change[:, :, start : start + cells])
+
+
+def test_durations_add_up_to_real_time() -> None:
+    assert durations_ms(4, 10.0) == [100] * 4
+    assert durations_ms(30, 30.0)[:3] == [30, 40, 30] and sum(durations_ms(30, 30.0)) == 1000
+
+
+def test_scenes_measured_once_have_no_animation(tmp_path: Path) -> None:
+    config = config_from_mapping({
+        "scenes": 1, "transport": {"target": 0.3}, "store": {"fields": ["histogram"]},
+        "capture": {"scan": {"rows": 2, "columns": 2}, "time": {"bins": 64}},
+    })  # fmt: skip
+    path = write_dataset(config, tmp_path / "still")
+    shown = show(path, 0, tmp_path / "shown")
+    assert shown and not [file for file in shown if file.suffix != ".png"]
+    assert sorted(shown) == sorted((tmp_path / "shown").iterdir())
+    assert "image/gif" not in preview(path, tmp_path / "still.html", 1).read_text()
 
 
 def test_sequences_made_in_python_are_shown_by_what_is_stored(tmp_path: Path) -> None:
@@ -75,5 +155,8 @@ def test_sequences_made_in_python_are_shown_by_what_is_stored(tmp_path: Path) ->
     settings = {"transport": {"target": 0.3}, "detector": {"cycles": 1000}, "labels": {"rows": 8, "columns": 8}}
     given = [(scene, capture(side=2, bins=64, width_s=4e-10), dg.Clock(3, 3))]
     dg.build_from(given, tmp_path / "set", settings=settings, progress=False)
-    names = {file.stem.partition("-")[2].partition("-")[2] for file in show(tmp_path / "set", 0, tmp_path / "shown")}
+    shown = show(tmp_path / "set", 0, tmp_path / "shown")
+    assert shown[-1].name == "scene-000000-frames.gif"
+    assert frames_of(shown[-1].read_bytes())[1] == [330, 340, 330]
+    names = {file.stem.partition("-")[2].partition("-")[2] for file in shown}
     assert {"histogram", "transient", "labels", "frames"} <= names
