@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from datagen.capture import capture_for
+from datagen.capture import capture_for, sensor_way
 from datagen.config import DatasetConfig
 from datagen.design.light import Light, light_of, transport_effects
 from datagen.design.scene_for import scene_for
@@ -34,7 +34,7 @@ from datagen.labels.motion import motion_tables
 from datagen.records import Capture, Clock, Sample, Scalar, Scene, SequenceLight, TimeAxis, Transient
 from datagen.records.arrays import Floats, l2_norm
 from datagen.records.label_fields import LABEL_FIELDS
-from datagen.records.sample import SCAN_PLACE, geometry_fields
+from datagen.records.sample import OF_THE_DEVICE, SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.coincidence import set_apart
 from datagen.transport.lines_of_sight import lit_points, seen_points
@@ -69,7 +69,7 @@ STAGES = (
         "capture",
         ("laser_position", "laser_points", "laser_normals", "sensor_position", "sensor_pixels", "sensor_points",
          "sensor_normals", "laser_time"),
-        SCAN_PLACE, (),
+        (*SCAN_PLACE, "capture."), (),
     ),
     Stage("detector", (), ("detector.", "exposure."), ()),
     Stage(
@@ -156,9 +156,12 @@ class Setup:
     """A scene and the device that measures it.
 
     scene : without surfaces of two parts in one place; of a sequence with its paths, as it is given.
+    capture : of a sensor that moves, as it stands in the middle frame.
     caster : of the scene's triangles.
     seconds : wall-clock seconds by stage; every stage adds its own.
     times : of the frames of a sequence; None of a scene that is measured once.
+    captures : one for each frame, of a sensor that moves; None of one that stands.
+    motion : what was drawn for the way of such a sensor.
     """
 
     config: DatasetConfig
@@ -170,6 +173,8 @@ class Setup:
     exposure: Exposure
     seconds: dict[str, float]
     times: FrameTimes | None = None
+    captures: tuple[Capture, ...] | None = None
+    motion: Mapping[str, Scalar] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -180,7 +185,9 @@ class Setup:
 
         seconds : those of earlier stages. clock : of a sequence; left out: as configured.
 
-        Raises `InputError` as `FrameTimes.of` does.
+        capture : of a sensor that moves, as it stands.
+
+        Raises `InputError` as `FrameTimes.of` and `sensor_way` do.
         """
         seconds = dict[str, float]() if seconds is None else seconds
         with _timed(seconds, "effects"):
@@ -190,13 +197,21 @@ class Setup:
         if clock is None:
             return cls(config, index, apart.scene, capture, apart.caster, spad, exposure, seconds)
         times = FrameTimes.of(clock, capture, spad, exposure)
-        return cls(config, index, scene, capture, apart.caster, spad, exposure, seconds, times)
+        setup = cls(config, index, scene, capture, apart.caster, spad, exposure, seconds, times)
+        with _timed(seconds, "scene"):
+            way = sensor_way(config, scene, capture, index, clock)
+        if way is None:
+            return setup
+        captures = way.captures(capture, times.middles)
+        return replace(setup, capture=captures[len(captures) // 2], captures=captures, motion=way.parameters)
 
-    def at(self, time_s: float) -> Setup:
-        """The setup of the scene as it stands at a time."""
+    def at(self, frame: int) -> Setup:
+        """The setup of a frame of a sequence, as everything stands in the middle of that."""
+        assert self.times is not None
+        capture = self.capture if self.captures is None else self.captures[frame]
         with _timed(self.seconds, "effects"):
-            apart = set_apart(self.scene.at(time_s), self.capture)
-        return replace(self, scene=apart.scene, caster=apart.caster, times=None)
+            apart = set_apart(self.scene.at(float(self.times.middles[frame])), capture)
+        return replace(self, scene=apart.scene, capture=capture, caster=apart.caster, times=None, captures=None)
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -256,8 +271,8 @@ class LightOfFrames:
 
     frames : the light to be detected.
     lit : the arguments of the transport that gave it. effects : decisions on the transport's effects.
-    background : (L, P, T) the light of the scene without its objects, the same in all frames; None if it is not
-        stored.
+    background : (L, P, T) the light of the scene without its objects, the same in all frames; (F, L, P, T) of a
+        sensor that moves; None if it is not stored.
     """
 
     frames: SequenceLight
@@ -279,7 +294,7 @@ class LightOfFrames:
         )  # fmt: skip
         background = self.background
         if background is not None:
-            background = np.tile(background, (light.frames, 1, 1))
+            background = np.broadcast_to(background, (light.frames, *light.static.shape)).reshape(-1, *rest)
         return SceneLight(transient, self.effects, background)
 
 
@@ -295,14 +310,19 @@ def simulated_frames(setup: Setup) -> LightOfFrames:
         lit = light_of(
             config, setup.index, scene, capture, effects, setup.spad, setup.exposure, frames=frames
         )  # fmt: skip
+        lit = replace(lit, captures=setup.captures)
         light = lit.frames(times.points)
         if np.isnan(light.laser_points).all():
             raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
     background = None
     if any(name in BACKGROUND_FIELDS for name in setup.fields):
         with _timed(setup.seconds, "background"):
-            apart = set_apart(lit.scene.at(0.0), capture)
-            background = replace(lit, scene=apart.scene).background().total
+            empty = lit.scene.at(0.0)
+            each = [
+                replace(lit, scene=set_apart(empty, one).scene, capture=one).background().total
+                for one in setup.captures or (capture,)
+            ]
+            background = each[0] if setup.captures is None else np.array(each)
     return LightOfFrames(light, lit, effects, background)
 
 
@@ -437,8 +457,8 @@ def labels_of_frames(
         with _timed(setup.seconds, "presence"):
             without = [(name, light.lit.frames_without(name, times.points)) for name in scene.objects]
     every, evidence = list[dict[str, NDArray[np.generic]]](), list[dict[str, Scalar]]()
-    for frame, middle in enumerate(times.middles):
-        at, one = setup.at(float(middle)), frames.frame(frame)
+    for frame in range(frames.frames):
+        at, one = setup.at(frame), frames.frame(frame)
         with _timed(setup.seconds, "evidence"):
             whole = replace(one, components={"all": np.maximum(one.total, 0.0)})
             lit, accuracy = light.effects.apply_transport(at.scene, at.capture, light.lit.accuracy)
@@ -455,7 +475,7 @@ def labels_of_frames(
         name: float(np.median([float(of[name]) for of in evidence])) for name in evidence[0]
     }
     with _timed(setup.seconds, "evidence"):
-        changes = changes_of(scene, frames, counts.spad, counts.exposure)
+        changes = changes_of(scene, frames, counts.spad, counts.exposure, setup.captures is not None)
     if "objects" in setup.fields:
         rows = setup.config.scene.most_objects()
         arrays |= change_tables(changes, rows, frames.frames)
@@ -480,7 +500,13 @@ def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDAr
 
 
 def _geometry(setup: Setup) -> dict[str, Floats]:
-    """Field → where laser, sensor, relay wall and hidden view are."""
+    """Field → where laser, sensor, relay wall and hidden view are; of a sensor that moves with an axis of frames."""
+    if setup.captures is not None:
+        every = [_geometry(setup.at(frame)) for frame in range(len(setup.captures))]
+        return {
+            name: np.stack([of[name] for of in every]) if name in OF_THE_DEVICE else every[0][name]
+            for name in every[0]
+        }  # fmt: skip
     scene, laser, sensor = setup.scene, setup.capture.laser, setup.capture.sensor
     wall, view = (
         None if face is None else np.stack([face.center, face.right, face.up])
@@ -517,6 +543,7 @@ def _parameters(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, Sc
         **scene.parameters,
         "scene.part_names": ",".join(scene.part_names),
         **({} if place is None else dict(zip(SCAN_PLACE, place, strict=True))),
+        **_scalars("capture.motion", setup.motion),
         **_scalars("detector", asdict(setup.spad)),
         **_scalars("exposure", asdict(setup.exposure)),
         **counts.effects.parameters(),

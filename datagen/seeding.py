@@ -25,6 +25,7 @@ class Purpose(IntEnum):
     BACKGROUND = 9
     LOADER_BACKGROUND = 10
     MOTION = 11
+    SENSOR_MOTION = 12
 
 
 class LightStream(IntEnum):

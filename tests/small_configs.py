@@ -20,7 +20,7 @@ def reduced(config: DatasetConfig) -> DatasetConfig:
     if device is not None:
         # The rest of the section follows from the device; its zones stay as they are.
         device["light"] |= {key: min(device["light"][key], MOST[key]) for key in ("rows", "columns")}
-        values["capture"] = {key: values["capture"][key] for key in ("device", "at_objects")}
+        values["capture"] = {key: values["capture"].get(key) for key in ("device", "at_objects", "motion")}
     for section in ("scan", "field_of_view") if device is None else ():
         part = values["capture"][section]
         for number, size in (("rows", "height_m"), ("columns", "width_m")):

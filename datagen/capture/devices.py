@@ -74,8 +74,13 @@ def _sees(scene: Scene, corners: Floats, place: Floats, middle: Floats, name: st
     face = first_faces(corners, place, middle[None])[0]
     if face >= 0 and scene.part_names[scene.face_part[face]] != name:
         return False
+    return has_elbow_room(corners, place) and bool(np.linalg.norm(middle - place) > 0)
+
+
+def has_elbow_room(corners: Floats, place: Floats) -> bool:
+    """Whether no triangle (F, 3, 3) lies within `ELBOW_ROOM_M` of a place (3,) along each axis."""
     around = place + ELBOW_ROOM_M * np.concatenate([np.eye(3), -np.eye(3)])
-    return bool((first_faces(corners, place, around, slack=0.0) < 0).all() and np.linalg.norm(middle - place) > 0)
+    return bool((first_faces(corners, place, around, slack=0.0) < 0).all())
 
 
 def position_of(device: str, configured: Point | None, offset: Point | None, scene: Scene) -> Floats:

@@ -23,7 +23,8 @@ SAME_PLACE_M = 1e-9
 
 
 def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, index: int = 0) -> Capture:
-    """The capture that `config.capture` gives for a scene: laser, sensor and time axis.
+    """The capture that `config.capture` gives for a scene: laser, sensor and time axis; of a sequence, as it begins,
+    with a sensor that stands.
 
     Laser points of a grid, and pixels, are numbered row by row from the top left as seen from the device (right × up
     of the relay wall points into the room).
@@ -47,7 +48,7 @@ def capture_for(config: DatasetConfig, scene: Scene, seed: int | None = None, in
     """
     check_kind("config", config, DatasetConfig, remedy="such as load_config(path)")
     check_kind("scene", scene, Scene)
-    settings = config.capture
+    settings, scene = config.capture, scene.at(0.0) if scene.moving else scene
     wall = scene.relay_wall
     if wall is None:
         raise InputError(

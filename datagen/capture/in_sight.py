@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from datagen.errors import InputError
@@ -50,15 +52,23 @@ def check_hidden(key: str, scene: Scene, eye: Floats) -> None:
 
     Only the room hides objects: one that hides another would be seen itself.
     """
+    seen = in_plain_sight(scene, eye, scene.objects)
+    if seen:
+        raise InputError(
+            f"capture.{key}: from {_place(eye)} the object {seen[0]!r} is in plain sight; move the device towards "
+            "the place that the scene gives it, or leave the key out"
+        )
+
+
+def in_plain_sight(scene: Scene, eye: Floats, objects: Sequence[str]) -> list[str]:
+    """Those of some objects that the room does not hide from `eye` (3,)."""
     roles = np.array(scene.roles)[scene.face_part]
-    room = scene.corners[roles != "object"]
-    for part in (i for i, role in enumerate(scene.roles) if role == "object"):
-        points = lattice_points(scene.corners[scene.face_part == part])
+    room, found = scene.corners[roles != "object"], list[str]()
+    for name in objects:
+        points = lattice_points(scene.corners[scene.faces_of(name)])
         if not len(room) or (first_faces(room, eye, points, slack=ON_A_WALL) < 0).any():
-            raise InputError(
-                f"capture.{key}: from {_place(eye)} the object {scene.part_names[part]!r} is in plain sight; move "
-                "the device towards the place that the scene gives it, or leave the key out"
-            )
+            found.append(name)
+    return found
 
 
 def pixel_points(pixels: Floats) -> Floats:

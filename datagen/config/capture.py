@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BeforeValidator, Field, SerializerFunctionWrapHandler, ValidationInfo, model_serializer
 
-from datagen.config.base import Settings, folder_of, from_plain, is_stored, named_file
+from datagen.config.base import Settings, folder_of, from_plain, is_stored, named_file, without_unset
+from datagen.config.capture_motion import SensorMotion, SensorPoints
 from datagen.config.device import DeviceConfig, read_device
 from datagen.config.distributions import Distribution, Length, Uniform, within
 from datagen.config.scans import AnyScan, Coordinate, GridScan, Metres, Place, PointCount
@@ -117,6 +118,13 @@ class CaptureConfig(Settings):
     """From where the scene puts the device to the laser, along x (ahead), y (left) and z (up)."""
     sensor_offset_m: Point | None = None
     """From where the scene puts the device to the sensor, likewise."""
+    motion: SensorMotion | None = None
+    """How laser and sensor move, as one rigid thing, from frame to frame of a `sequence`; within a frame they stand.
+    Left out: they stand in all frames."""
+
+    @model_serializer(mode="wrap")
+    def _plain(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return without_unset(self, plain, "motion")
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -177,6 +185,10 @@ class CaptureConfig(Settings):
         self._only_one_of("laser_position_m", "laser_offset_m")
         self._only_one_of("sensor_position_m", "sensor_offset_m", "at_objects")
         self._only_one_of("at_objects", "sensor_offset_m")
+        if self.at_objects is not None and isinstance(self.motion, SensorPoints):
+            raise ValueError(
+                "at_objects beside motion.kind = 'points': both say where the device is; leave one of them out"
+            )
 
 
 def _of_device(device: DeviceConfig) -> dict[str, Any]:

@@ -132,6 +132,7 @@ class DatasetConfig(Settings):
                     f"detector.{key}.change: nothing changes without sequence and a motion of one of scene.contents; "
                     "give both, or ask for evidence"
                 )
+        self._check_motion_of_sensor()
         if self.sequence is None:
             for i, item in enumerate(self.scene.contents):
                 if item.motion is not None:
@@ -149,6 +150,20 @@ class DatasetConfig(Settings):
                 "or a grid"
             )
         self._check_exposures(self.sequence)
+
+    def _check_motion_of_sensor(self) -> None:
+        if self.capture.motion is None:
+            return
+        if self.sequence is None:
+            raise ValueError(
+                "capture.motion without sequence, which says how many frames there are and when: give sequence, such "
+                "as {frames: 16, rate_hz: 10}, or leave motion out"
+            )
+        if isinstance(self.scene.layout, NoLayout):
+            raise ValueError(
+                f"capture.motion with scene.layout.kind = {self.scene.layout.kind!r}: captures of such scenes are "
+                "given, not drawn; leave motion out"
+            )
 
     def _check_exposures(self, sequence: SequenceConfig) -> None:
         """Raise `ValueError` if the longest exposures of all laser points do not fit into a frame. Where the

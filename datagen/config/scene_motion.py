@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -61,6 +63,16 @@ class MotionPoint(Settings):
                 raise ValueError(f"{key}, {other}: one of them is needed, and only one of them can hold")
 
 
+def check_times(points: Sequence[MotionPoint]) -> None:
+    """Raise `ValueError` for points whose times do not increase."""
+    for k, (before, point) in enumerate(pairwise(points)):
+        if point.time_s <= before.time_s:
+            raise ValueError(
+                f"points[{k + 1}].time_s = {point.time_s:g} after {before.time_s:g}: times must increase; sort "
+                "the points"
+            )
+
+
 class Points(Settings):
     """A way through places that are given with their times: straight between them, and standing before the first and
     after the last."""
@@ -70,12 +82,7 @@ class Points(Settings):
     """The places, by time."""
 
     def _check(self) -> None:
-        for k, (before, point) in enumerate(zip(self.points, self.points[1:], strict=False)):
-            if point.time_s <= before.time_s:
-                raise ValueError(
-                    f"points[{k + 1}].time_s = {point.time_s:g} after {before.time_s:g}: times must increase; sort "
-                    "the points"
-                )
+        check_times(self.points)
 
 
 class Jump(Settings):

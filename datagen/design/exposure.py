@@ -18,7 +18,7 @@ from itertools import islice
 
 import numpy as np
 
-from datagen.capture import capture_for
+from datagen.capture import capture_for, sensor_way
 from datagen.config import DatasetConfig
 from datagen.config.detector import ExposureFor
 from datagen.config.scene_layouts import NoLayout
@@ -133,7 +133,12 @@ def _of_evidence(
     """The evidence of the objects of a pilot scene; of a sequence, in its middle. exposure : of one cycle."""
     longest_s = _longest_s(config, capture)
     if config.clock is not None:
-        scene = scene.at(config.clock.duration_s / 2)
+        middle_s = config.clock.duration_s / 2
+        way = sensor_way(config, scene, capture, index)
+        scene, capture = (
+            scene.at(middle_s),
+            capture if way is None else way.captures(capture, np.array([middle_s]))[0],
+        )
     longest = replace(exposure, cycles=_most_cycles(request, exposure.repetition_rate_hz, longest_s))
     transient = coarse_transient(config, index, scene, capture, spad, longest)
     parts, unbounded = [transient.parts[name] for name in scene.objects], replace(spad, counter_max=None)
@@ -164,9 +169,13 @@ def _of_changes(
     times = times_of(capture, config.clock, None)[chosen]
     effects = transport_effects(config, scene.at(config.clock.duration_s / 2), capture, index)
     longest = replace(exposure, cycles=_most_cycles(request, exposure.repetition_rate_hz, longest_s))
-    light = light_of(config, index, scene, capture, effects, spad, longest, frames=frames).frames(times)
+    lit = light_of(config, index, scene, capture, effects, spad, longest, frames=frames)
+    way = sensor_way(config, scene, capture, index)
+    if way is not None:
+        lit = replace(lit, captures=way.captures(capture, times.mean(axis=1)))
+    light = lit.frames(times)
     counts, squares = list[Floats](), list[Floats]()
-    every = change_squares(scene, light, replace(spad, counter_max=None), exposure)
+    every = change_squares(scene, light, replace(spad, counter_max=None), exposure, way is not None)
     for both, each, _ in islice(every, None, None, step):
         # Two frames hardly differ.
         counts.append(both.reshape(-1) / 2)

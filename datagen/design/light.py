@@ -28,6 +28,7 @@ class Light:
     scene, accuracy : scene and accuracy without the effects that are left out.
     seed : seed of the scene's own random stream.
     caster : of the scene's triangles, if there is one already.
+    captures : one for each frame, of a sensor that moves; None of one that stands.
     """
 
     scene: Scene
@@ -35,6 +36,7 @@ class Light:
     accuracy: Accuracy
     seed: int
     caster: Raycaster | None = None
+    captures: tuple[Capture, ...] | None = None
 
     def transient(self) -> Transient:
         """The transient of the scene."""
@@ -42,7 +44,7 @@ class Light:
 
     def frames(self, times_s: Floats) -> SequenceLight:
         """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L)."""
-        captures = [self.capture] * len(times_s)
+        captures = [self.capture] * len(times_s) if self.captures is None else self.captures
         return light_of_sequence(self.scene, captures, times_s, self.accuracy, self.seed)
 
     def frames_without(self, name: str, times_s: Floats) -> SequenceLight:

@@ -62,29 +62,33 @@ def frame_detections(
 
 
 def change_squares(
-    scene: Scene, light: SequenceLight, spad: Spad, exposure: Exposure
+    scene: Scene, light: SequenceLight, spad: Spad, exposure: Exposure, sensor_moves: bool = False
 ) -> Iterator[tuple[Floats, dict[str, Floats], Floats]]:
     """For each frame but the first: (L, P, bin) detections of both frames together, object that moves → d²/(b + b′),
     and e²/(b + b′) with e the standard error of the change.
 
     Where one object moves, all that changes is by it: its own light, what it blocks, and light of more bounces. Of
-    several it is not known whose shadow a change is, and d is that of the own light alone.
+    several it is not known whose shadow a change is, and d is that of the own light alone; so it is for a sensor that
+    moves, which changes all light.
     """
     movers = [name for name in scene.objects if name in scene.moving]
+    alone = len(movers) == 1 and not sensor_moves
     before: FrameDetections | None = None
     for frame in range(light.frames):
-        now = frame_detections(light, frame, movers if len(movers) > 1 else (), spad, exposure)
+        now = frame_detections(light, frame, () if alone else movers, spad, exposure)
         if before is not None:
             both = now.everything + before.everything
             weight = np.divide(1.0, both, out=np.zeros_like(both), where=both > 0)
             changes = {name: now.own[name] - before.own[name] for name in now.own}
-            if len(movers) == 1:
+            if alone:
                 changes = {movers[0]: now.everything - before.everything}
             yield both, {name: d * d * weight for name, d in changes.items()}, now.error**2 * weight
         before = now
 
 
-def changes_of(scene: Scene, light: SequenceLight, spad: Spad, exposure: Exposure) -> dict[str, list[Change]]:
+def changes_of(
+    scene: Scene, light: SequenceLight, spad: Spad, exposure: Exposure, sensor_moves: bool = False
+) -> dict[str, list[Change]]:
     """Object → its change from the frame before, of each frame: 0 in the first frame and of objects that stand, NaN
     of objects that move and whose own light is not known."""
     still, unknown = Change(0.0, 0.0), Change(math.nan, math.nan)
@@ -92,7 +96,7 @@ def changes_of(scene: Scene, light: SequenceLight, spad: Spad, exposure: Exposur
     if not scene.moving:
         return found
     is_known = bool(np.isfinite(light.change_stderr).all())
-    for k, (_, squares, error) in enumerate(change_squares(scene, light, spad, exposure)):
+    for k, (_, squares, error) in enumerate(change_squares(scene, light, spad, exposure, sensor_moves)):
         floor = math.sqrt(float(error.sum())) if is_known else math.nan
         for name in scene.moving:
             one = squares.get(name)

@@ -47,6 +47,7 @@ class Volumes:
             raise InputError("minus = 'mean': the dataset has no sequences whose mean over frames could be taken off")
         self._minus = minus
         self._capture = manifest.config["capture"]
+        self._framed = [name for name in GEOMETRY if manifest.schema.by_name[name].frame_bytes is not None]
         self._time = manifest.time
         if "bin" in crops.chosen:
             first, bins = float(crops.chosen["bin"][0]), len(crops.chosen["bin"])
@@ -74,6 +75,7 @@ class Volumes:
             # With the mean over the frames taken off, what stands is gone, and the signal is whitened by that mean.
             mean = histograms.mean(axis=0) if self._minus == "mean" else None
             for frame in np.ndindex(frames):
-                scan = scan_of(histograms[frame], where, self._capture, self._time, mean)
+                there = where | {name: where[name][frame] for name in self._framed}
+                scan = scan_of(histograms[frame], there, self._capture, self._time, mean)
                 volumes[(row, *frame)] = backprojected_volume(scan, grid)
         return volumes

@@ -24,6 +24,12 @@ _NUMBERS = (int, float, np.integer, np.floating)
 SCAN_PLACE = ("labels.scan_right_m", "labels.scan_up_m")
 """Parameters of a sample: metres right and up from the middle of its label images to the middle of its scan."""
 
+OF_THE_DEVICE = (
+    "laser_points", "laser_normals", "sensor_pixels", "sensor_points", "sensor_normals", "laser_position",
+    "sensor_position",
+)  # fmt: skip
+"""Arrays of a sample that say where the device is and what it looks at: with an axis of frames where it moves."""
+
 
 @dataclass(frozen=True, repr=False)
 class Transient:

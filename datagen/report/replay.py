@@ -219,10 +219,12 @@ def _replay_of_frame(stored: StoredScene, frame: int) -> Replay:
     if counts is None:
         drawn = counted.histogram
         counts = drawn.reshape(light.frames.frames, -1, *drawn.shape[1:])[frame]
-    # Laser points are stored as they are when the first frame begins.
+    # Laser points of a sensor that stands are stored as they are when the first frame begins.
     moved_m = _moved_m(stored, one.laser_points)
     difference = _difference(stored, one.total)
-    return Replay(stored.scene_of(scene), capture, seen, counts, expected, difference, moved_m, mean_is_exact)
+    return Replay(
+        stored.scene_of(scene), setup.at(frame).capture, seen, counts, expected, difference, moved_m, mean_is_exact
+    )
 
 
 def _mean(total: Floats, time: TimeAxis, spad: Spad, exposure: Exposure) -> tuple[Floats, bool]:

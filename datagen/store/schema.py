@@ -8,7 +8,7 @@ more bins where the sensor merges bins); label images have the configured rows a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import ImportedCaptures
 from datagen.errors import InputError
 from datagen.records.label_fields import LABEL_FIELDS
+from datagen.records.sample import OF_THE_DEVICE
 
 FORMAT, FORMAT_OF_SEQUENCES = 1, 2
 """Numbers of the stored format: of scenes that are measured once, and of sequences, whose fields have an axis
@@ -249,6 +250,12 @@ def _small_fields(config: DatasetConfig) -> tuple[Field, ...]:
     )
     if config.sequence is None:
         return fields
+    if config.capture.motion is not None:
+        fields = tuple(
+            replace(of, dims=("scene", "frame", *of.dims[1:]), shape=(config.sequence.frames, *of.shape))
+            if of.name in OF_THE_DEVICE else of
+            for of in fields
+        )  # fmt: skip
     times = Field(
         "laser_time", ("scene", "frame", "laser"), (config.sequence.frames, config.capture.shape[0]), "float64", "s",
         "middle of the exposure of each laser point, since the first frame began", sharded=False,
