@@ -107,11 +107,14 @@ def _pace(speed: float) -> str:
 
 
 def draw_movers(axes: Axes, room: Scene, stored: StoredScene, times_s: Floats) -> Update:
-    """Draw the room from above, with a box about each part that moves and its way over all frames."""
+    """Draw the room from above, with a box about each part that moves and its way over all frames; a sensor that
+    moves likewise."""
     colors, moving = part_colors(room), room.moving
     # The window of the labels is not shown here.
     standing = replace(room.without(*moving) if moving else room, hidden_view=None)
-    points = stored.arrays.get("laser_points")
+    points, drives = stored.arrays.get("laser_points"), "sensor_position" in stored.framed
+    if drives:
+        standing, points = replace(standing, device_position=None), None
     draw_plan(axes, RoomPicture(standing, laser_points=points, colors=colors))
     axes.set_title("The room from above")
     boxes = []
@@ -127,9 +130,27 @@ def draw_movers(axes: Axes, room: Scene, stored: StoredScene, times_s: Floats) -
         axes.add_patch(box)
         boxes.append((box, placed))
 
+    move_sensor = _draw_sensor(axes, stored) if drives else None
+
     def update(frame: int) -> None:
         for box, placed in boxes:
             box.set_xy(placed[frame])
+        if move_sensor is not None:
+            move_sensor(frame)
+
+    return update
+
+
+def _draw_sensor(axes: Axes, stored: StoredScene) -> Update:
+    """Draw a sensor that moves, its way over all frames, and its laser points."""
+    places, points = stored.arrays["sensor_position"], stored.arrays["laser_points"]
+    axes.plot(*places[:, :2].T, color=INK, linewidth=0.9, linestyle=":", zorder=14)
+    (device,) = axes.plot([], [], "D", color="black", markersize=5, zorder=15)
+    (lit,) = axes.plot([], [], "o", color=LASER, markersize=2, zorder=15)
+
+    def update(frame: int) -> None:
+        device.set_data(places[frame, :1], places[frame, 1:2])
+        lit.set_data(points[frame, :, 0], points[frame, :, 1])
 
     return update
 
