@@ -247,10 +247,9 @@ def test_what_cannot_move_is_refused() -> None:
 
 
 def test_a_scene_that_moves_is_not_built_as_one_that_stands(tmp_path: Path) -> None:
-    """As long as datasets hold no sequences."""
     time = dg.TimeAxis(bins=64, width_s=4e-10, origin="wall")
     sensor = dg.Sensor.grid((3, -1, 0), (0.05, 0, 0), (0, 0.3, 0), (0, 0, 0.3), rows=1, columns=1)
     capture = dg.Capture(dg.Laser((3, -1, 0), [(0.05, 0, 0.2)]), sensor, time)
-    with pytest.raises(InputError, match=r"scenes\[0\]: 'box' moves, and datasets of sequences cannot be built yet"):
+    with pytest.raises(InputError, match=r"scenes\[0\]: 'box' moves, and nothing says when frames are measured"):
         dg.build_from([MOVING], tmp_path / "x.zarr", capture, progress=False)
     assert not [*tmp_path.iterdir()]
