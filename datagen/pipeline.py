@@ -343,7 +343,7 @@ def _change_error(light: SequenceLight) -> float:
     return error / known**0.5 if known > 0 else float("nan")
 
 
-def _clipped(scene: Scene, light: SequenceLight) -> float:
+def _share_below_zero(scene: Scene, light: SequenceLight) -> float:
     """Light below 0, of which counts are drawn as of 0, over the light that moving parts block: it is below 0 where
     what they block is not known well enough. 0 where it is nowhere."""
     clipped = blocked = 0.0
@@ -439,7 +439,7 @@ def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
     arrays |= _geometry(setup) | {"laser_time": setup.times.points}
     changing = {
         "transient.change_error": _change_error(light.frames),
-        "transient.clipped": _clipped(setup.scene, light.frames),
+        "transient.clipped": _share_below_zero(setup.scene, light.frames),
     }
     parameters = _parameters(setup, at_once, counts) | changing | detectability
     return Sample(setup.index, arrays, parameters, setup.seconds)

@@ -38,7 +38,7 @@ class Mover:
         x, y, rotation = (float(np.interp(time_s, self.times_s, self.poses[:, axis])) for axis in range(3))
         return x, y, rotation
 
-    def occupied(self, time_s: float) -> Occupied:
+    def space_taken(self, time_s: float) -> Occupied:
         """What it takes at a time that is no jump."""
         return Occupied(self.solid.footprint(*self.pose(time_s)), self.bottom_m, self.bottom_m + self.solid.top_m)
 
@@ -69,15 +69,15 @@ def obstacle_on_way(
     bends = np.concatenate([mover.times_s, *(other.times_s for other in others)])
     ends = np.unique([start_s, *bends[(bends > start_s) & (bends < end_s)], end_s])
     # Most ways that do not fit have an end that does not, which one check finds.
-    if (found := space.obstacle(mover.occupied(end_s))) is not None:
+    if (found := space.obstacle(mover.space_taken(end_s))) is not None:
         return found
     pieces = list(pairwise(ends))
     while pieces:
         start, end = pieces.pop()
         middle = 0.5 * (start + end)
         reach = mover.reach_m(start, end) + max((other.reach_m(start, end) for other in others), default=0.0)
-        there = replace(space, taken=[*space.taken, *(other.occupied(middle) for other in others)])
-        taken = mover.occupied(middle)
+        there = replace(space, taken=[*space.taken, *(other.space_taken(middle) for other in others)])
+        taken = mover.space_taken(middle)
         if _with_room(there, reach).obstacle(taken) is None:
             continue
         if (found := there.obstacle(taken)) is not None:

@@ -227,7 +227,7 @@ class _Laws:
         # One by one: most ways that break a law do so soon.
         captures = (moved(self.standing, *pose) for pose in zip(*way.at(times), strict=True))
         first = moved(self.standing, *(of[0] for of in way.at(times[:1])))
-        hidden, before = self._hidden(first), self.standing
+        hidden, before = self._hidden_objects(first), self.standing
         if isinstance(self.motion, SensorPoints) and first is not self.standing:
             before = first
             if not _is_in_room(self.scene.at(0.0), first.sensor.position):
@@ -263,7 +263,7 @@ class _Laws:
         steps = frames * int(np.ceil(max(length_m / STEP_M, 1.0) / frames))
         return np.linspace(0.0, end, min(steps, max(MOST_CHECKS, frames)) + 1)
 
-    def _hidden(self, first: Capture) -> list[str]:
+    def _hidden_objects(self, first: Capture) -> list[str]:
         """Objects that are hidden from where the sensor stands; a device begins where its first point is."""
         starts = isinstance(self.motion, SensorPoints) and not self.stays_on_wall
         scene, eye = self.scene.at(0.0), (first if starts else self.standing).sensor.position

@@ -22,9 +22,8 @@ def scene_for(config: DatasetConfig, index: int) -> Scene:
     """Scene `index` of the dataset of a configuration.
 
     This is `generate_scene(config.scene, config.seed, index)`, with `clock=config.clock` for a sequence, unless
-    `contents` ask for `evidence_at_least`. Then the
-    objects are placed anew until a quick estimate, with the scene's capture and detector, gives each of them as much;
-    of a sequence in the median of its beginning, middle and end.
+    `contents` ask for `evidence_at_least`. Then the objects are placed anew until a quick estimate, with the scene's
+    capture and detector, gives each of them as much; of a sequence in the median of its beginning, middle and end.
     The scene's parameter `evidence.placed_anew` says how often they were.
 
     Raises

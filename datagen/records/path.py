@@ -53,19 +53,19 @@ class Moves:
 
     def apply(self, points: ArrayLike) -> Floats:
         """(…, 3) points after the moves."""
-        return self._turned("points", points, 1.0) + self.shifts_m
+        return self._rotate("points", points, 1.0) + self.shifts_m
 
     def undo(self, points: ArrayLike) -> Floats:
         """(…, 3) points before the moves that `points` are the outcome of."""
-        return self._turned("points", self._vectors("points", points) - self.shifts_m, -1.0)
+        return self._rotate("points", self._vectors("points", points) - self.shifts_m, -1.0)
 
     def turn(self, vectors: ArrayLike) -> Floats:
         """(…, 3) directions after the moves."""
-        return self._turned("vectors", vectors, 1.0)
+        return self._rotate("vectors", vectors, 1.0)
 
     def turn_back(self, vectors: ArrayLike) -> Floats:
         """(…, 3) directions before the moves."""
-        return self._turned("vectors", vectors, -1.0)
+        return self._rotate("vectors", vectors, -1.0)
 
     def since(self, start: Moves) -> Moves:
         """The moves that take what `start` has moved to where these take it: exactly none where both are equal."""
@@ -86,7 +86,7 @@ class Moves:
             "those of the moves"
         )
 
-    def _turned(self, name: str, vectors: ArrayLike, way: float) -> Floats:
+    def _rotate(self, name: str, vectors: ArrayLike, way: float) -> Floats:
         """(…, 3) vectors after the turns, or, with `way` −1, before."""
         of = self._vectors(name, vectors)
         cosine, sine = np.cos(self.turns_rad), way * np.sin(self.turns_rad)
@@ -174,8 +174,8 @@ class Path:
     def at(self, times_s: ArrayLike) -> Moves:
         """The moves, of the shape of `times_s`, that take the part's mesh to where it is at these times."""
         leg, share = self._legs(_as_times(times_s))
-        headings = _between(self.headings_deg, leg, share)
-        return Moves(np.radians(headings), _between(self.places, leg, share[..., None]))
+        headings = _interpolate(self.headings_deg, leg, share)
+        return Moves(np.radians(headings), _interpolate(self.places, leg, share[..., None]))
 
     def velocity(self, times_s: ArrayLike, at: ArrayLike | None = None) -> Floats:
         """(…, 3) m/s at these times: of the place, or of the points of the part that are `at` (…, 3) in the scene.
@@ -217,7 +217,7 @@ class Path:
         return np.where(stands.reshape(times.shape + (1,) * (values.ndim - 1)), 0.0, slope)
 
 
-def _between(values: Floats, leg: Ints, share: Floats) -> Floats:
+def _interpolate(values: Floats, leg: Ints, share: Floats) -> Floats:
     """Linear between the values at both ends of each leg: exactly these at its ends, and all along if they agree."""
     first, last = values[leg], values[np.minimum(leg + 1, len(values) - 1)]
     return np.asarray(np.where(share == 1.0, last, first + share * (last - first)))

@@ -342,7 +342,7 @@ class Scene:
             move = self.moves(name, time_s)
             own = np.unique(self.triangles[self.faces_of(name)])
             vertices[own] = move.apply(vertices[own])
-            poses[name] = _turned(self.pose_of(name), move)
+            poses[name] = _pose_after(self.pose_of(name), move)
         return replace(self, vertices=vertices, poses=poses, paths={})
 
     @property
@@ -365,10 +365,10 @@ def _first_pose(part: Part) -> Pose | None:
     """The pose of a part at time 0; None for one that stands along the scene's axes, named by its part."""
     if part.path is None:
         return part.pose
-    return _turned(part.pose or Pose.upright(part.name), part.path.at(0.0))
+    return _pose_after(part.pose or Pose.upright(part.name), part.path.at(0.0))
 
 
-def _turned(pose: Pose, move: Moves) -> Pose:
+def _pose_after(pose: Pose, move: Moves) -> Pose:
     """The pose after one move."""
     return replace(pose, axes=move.turn(pose.axes))
 

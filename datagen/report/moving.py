@@ -191,7 +191,7 @@ def draw_change(figure: Figure, axes: Axes, stored: StoredScene, measured: str) 
     values = np.asarray(stored.arrays[measured], np.float64).sum(axis=2 if by_laser else 1)
     values = values[:, raster.channels[..., 0 if by_laser else 1]]
     values = values.sum(axis=1)
-    cells, edges_ns = _summed(values, time.edges_s * 1e9, busy_window(values.sum(axis=0), time, 0.99))
+    cells, edges_ns = _sums_by_time(values, time.edges_s * 1e9, busy_window(values.sum(axis=0), time, 0.99))
     change = cells - cells.mean(axis=0)
     most = float(np.quantile(abs(change), 1 - _CLIPPED)) or float(abs(change).max()) or 1.0
     first, last = reach(np.arange(values.shape[1], dtype=np.float64) if raster.x_m is None else raster.x_m)
@@ -212,7 +212,7 @@ def draw_change(figure: Figure, axes: Axes, stored: StoredScene, measured: str) 
     return lambda frame: shown.set_data(change[frame])
 
 
-def _summed(values: Floats, edges_ns: Floats, window_ns: tuple[float, float]) -> tuple[Floats, Floats]:
+def _sums_by_time(values: Floats, edges_ns: Floats, window_ns: tuple[float, float]) -> tuple[Floats, Floats]:
     """(…, cell) sums of equally many bins each, at most `_CELLS` within a window, and their (cell + 1,) edges."""
     low, high = np.searchsorted(edges_ns, window_ns)
     bins = -(-(high - low) // _CELLS)

@@ -107,7 +107,7 @@ def generate_scene(
                 if short_of is not None:
                     counts["evidence.placed_anew"] = sum(n for (_, what), n in reasons.items() if what == "dim")
                 try:
-                    placed = _placed(spec, room, view, rng, rotate_anew=2 * number > attempts)
+                    placed = _find_places(spec, room, view, rng, rotate_anew=2 * number > attempts)
                     movers = dict[str, Mover]() if ways is None else ways.found(room, *placed, own)
                     scene = _furnished(spec, room, view, placed[0], movers, rng, counts)
                     if short_of is not None:
@@ -170,7 +170,7 @@ class _View:
         return cls(fan, _visible_relay_wall(plan, fan))
 
 
-def _placed(
+def _find_places(
     spec: SceneConfig, room: DrawnRoom, view: _View, rng: np.random.Generator, rotate_anew: bool
 ) -> tuple[dict[str, Spot], FreeSpace]:
     """Free places of a room's objects by name, and the room with all that stands in it. Raises `Unmet`.

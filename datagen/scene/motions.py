@@ -93,7 +93,7 @@ class Ways:
             if thing.item.motion is None:
                 continue
             standing = [o.name for o in room.things if o.name not in movers and o.name != thing.name]
-            taken = [spots[o.name].occupied(o.solid) for o in room.things if o.name in standing]
+            taken = [spots[o.name].space_taken(o.solid) for o in room.things if o.name in standing]
             around = replace(space, taken=[*fixed, *taken])
             movers[thing.name] = self._way(thing, spots[thing.name], around, [*movers.values()], own)
         return movers

@@ -57,7 +57,7 @@ class Spot:
         """x, y and the rotation."""
         return self.x_m, self.y_m, self.rotation_deg
 
-    def occupied(self, solid: Solid) -> Occupied:
+    def space_taken(self, solid: Solid) -> Occupied:
         """What the solid takes in this pose."""
         return Occupied(solid.footprint(*self.pose), self.z_m, self.z_m + solid.top_m)
 
@@ -73,7 +73,7 @@ def place(
     spots = Spots.of(thing, plan, wall, space.clearance_m)
     for _ in range(spots.tries):
         spot = spots.draw(rotation_deg, rng)
-        taken = spot.occupied(thing.solid)
+        taken = spot.space_taken(thing.solid)
         obstacle = space.obstacle(taken)
         if obstacle is None:
             space.taken.append(taken)

@@ -47,8 +47,8 @@ FEWEST = 6
 """Fewest histograms of a pilot; if there are less, each is run several times: the few elements of 1 to 5 histograms
 met only shadow with 2 and 6 of 10 seeds of two scenes."""
 COARSER = 30.0
-"""δ of the first pilot, in units of that with which all elements together would err by their light: the
-first pilot of a room then has 1 to 3 times the elements of its last."""
+"""δ of the first pilot, in units of that with which all elements together would err by their light: the first
+pilot of a room then has 1 to 3 times the elements of its last."""
 PILOTS = 6
 """Most pilots; 19 rooms of ready configurations took 1 to 4."""
 STEP = 6.0
@@ -320,12 +320,15 @@ class Cuts:
                 origin, span = self.origin[: len(visible)], self.span[: len(visible)]
                 legs_of(self.batch, visible, leg, origin, span)
                 visible = visible[~self.problem.caster.occluded_scaled(origin, span)]
-            if (wide := widest(self.batch, visible)) > self.widest:
-                self.widest, self.work = wide, Work.of(light.shape[2], wide)
-            rows_of, over = light.reshape(-1, light.shape[2]), outside.reshape(-1)
-            pour_all(self.batch, visible, rows_of, over, self.work)
+            self.pour(visible, light.reshape(-1, light.shape[2]), outside.reshape(-1))
         self.is_limited |= bool(walk.at[3] >= most)
         return samples
+
+    def pour(self, samples: Ints, light: Floats, outside: Floats) -> None:
+        """Adds some samples of the batch, by number, to the rows of light (…, T) and outside (…)."""
+        if (wide := widest(self.batch, samples)) > self.widest:
+            self.widest, self.work = wide, Work.of(light.shape[1], wide)
+        pour_all(self.batch, samples, light, outside, self.work)
 
 
 def outer_sides(scene: Scene) -> Floats:

@@ -217,7 +217,7 @@ def _cover(p0, p1, p2, face, side, bits, near, touched, count):  # type: ignore[
 
 
 @compiled(forceinline=True, allocates=False)
-def _projected(q, face, side):  # type: ignore[no-untyped-def]
+def _place_on(q, face, side):  # type: ignore[no-untyped-def]
     """Across and up, in places from the middle of the lowest one, and one over depth, of q on a face."""
     per, half = 1.0 / q[2], 0.5 * side * PLACES
     return q[0] * per * half + half - 0.5, q[1] * per * half + (half if face == 0 else 0.0) - 0.5, per
@@ -250,10 +250,10 @@ def _draw_triangle(a, b, c, face, side, nearest, bits, near, touched, count):  #
     if inside == 3 or inside == 1:
         if inside == 1:
             b, c = _cut_at(a, b, nearest), _cut_at(a, c, nearest)
-        p0, p1, p2 = _projected(a, face, side), _projected(b, face, side), _projected(c, face, side)
+        p0, p1, p2 = _place_on(a, face, side), _place_on(b, face, side), _place_on(c, face, side)
         return _cover(p0, p1, p2, face, side, bits, near, touched, count)
-    d, e = _projected(_cut_at(a, b, nearest), face, side), _projected(_cut_at(a, c, nearest), face, side)
-    p1, p2 = _projected(b, face, side), _projected(c, face, side)
+    d, e = _place_on(_cut_at(a, b, nearest), face, side), _place_on(_cut_at(a, c, nearest), face, side)
+    p1, p2 = _place_on(b, face, side), _place_on(c, face, side)
     count = _cover(d, p1, p2, face, side, bits, near, touched, count)
     return _cover(d, p2, e, face, side, bits, near, touched, count)
 

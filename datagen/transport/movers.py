@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records import Moves, Scene
 from datagen.records.arrays import Bools, Floats, Ints
+from datagen.transport.geometry import get, put
 from datagen.transport.rays import Raycaster
 
 STANDS = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
@@ -99,3 +100,25 @@ def turned_back(pose, v):  # type: ignore[no-untyped-def]
 def moved_back(pose, p):  # type: ignore[no-untyped-def]
     """The point p before the move of a pose."""
     return turned_back(pose, (p[0] - pose[2], p[1] - pose[3], p[2] - pose[4]))
+
+
+@compiled(allocates=False)
+def _set_before(pose, values, out, is_place):  # type: ignore[no-untyped-def]
+    """Sets out (n, 3) to places or directions (n, 3) before the moves of poses (n, 5)."""
+    for k in range(len(out)):
+        v = get(values, k, 0)
+        put(out, k, 0, moved_back(pose[k], v) if is_place else turned_back(pose[k], v))
+
+
+def places_before(pose: Floats, places: Floats) -> Floats:
+    """(n, 3) places before the moves of poses (n, 5), from those after them."""
+    out = np.empty(places.shape)
+    _set_before(pose, places, out, True)
+    return out
+
+
+def directions_before(pose: Floats, directions: Floats) -> Floats:
+    """(n, 3) directions before the turns of poses (n, 5), from those after them."""
+    out = np.empty(directions.shape)
+    _set_before(pose, directions, out, False)
+    return out

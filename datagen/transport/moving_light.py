@@ -17,14 +17,13 @@ import numpy as np
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
-from datagen.transport.arrival_times import Work
 from datagen.transport.cut_elements import Walk
-from datagen.transport.cut_steps import Asked, emit, legs_of, pour_all, widest
+from datagen.transport.cut_steps import Asked, emit, legs_of
 from datagen.transport.cuts import AT_LEAST, Cuts
 from datagen.transport.fov_clusters import FovClusters
 from datagen.transport.geometry import get, put
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.movers import STANDS, Mover, moved, moved_back, turned_back
+from datagen.transport.movers import STANDS, Mover, directions_before, moved, moved_back, places_before, turned_back
 
 TURNED = (3, 11, 14)
 """Columns of a cluster's row where directions begin; its middle is in the first columns."""
@@ -115,12 +114,9 @@ class OwnLight:
         while walk.at[0] < n:
             used = emit(pairs, n, asked, most, replicate, seed, room, own_pool, walk, cuts.expected, cuts.batch)
             self.samples += used
-            visible = self._seen(pose, others, cuts.every[:used])
-            if (wide := widest(cuts.batch, visible)) > cuts.widest:
-                cuts.widest, cuts.work = wide, Work.of(light.shape[1], wide)
-            pour_all(cuts.batch, visible, light, outside, cuts.work)
+            cuts.pour(self._rows_in_sight(pose, others, cuts.every[:used]), light, outside)
 
-    def _seen(self, pose: Floats, others: Sequence[Floats], rows: Ints) -> Ints:
+    def _rows_in_sight(self, pose: Floats, others: Sequence[Floats], rows: Ints) -> Ints:
         """Those samples of the batch, by number, that nothing hides: neither the part itself at its poses (n, 5), nor
         the static room, nor other movers at theirs."""
         cuts, stands = self.cuts, np.tile(STANDS, (len(pose), 1))
@@ -140,34 +136,23 @@ class OwnLight:
 def _lasers_before(lasers: LaserPoints, which: Ints, pose: Floats) -> LaserPoints:
     """Some laser points before the moves of poses (n, 5), each by its own."""
     some = lasers.take(which)
-    position, normal, to_laser = np.empty((3, len(which), 3))
-    _move_back(pose, np.arange(len(which)), some.position, position, True)
-    _move_back(pose, np.arange(len(which)), some.normal, normal, False)
-    _move_back(pose, np.arange(len(which)), some.to_laser, to_laser, False)
-    return some._replace(position=position, normal=normal, to_laser=to_laser)
+    return some._replace(
+        position=places_before(pose, some.position), normal=directions_before(pose, some.normal),
+        to_laser=directions_before(pose, some.to_laser),
+    )  # fmt: skip
 
 
 def _pool_before(pool: FovClusters, of: Ints, pose: Floats) -> FovClusters:
     """The FoV points of the pixels `of` (n,) before the moves of poses (n, 5), each pixel by its own."""
     each = len(pool.part) // len(pool.cluster)
     points = (of[:, None] * each + np.arange(each)).ravel()
-    owner = np.repeat(np.arange(len(of)), each)
-    position, normal, to_sensor = np.empty((3, len(points), 3))
-    _move_back(pose, owner, pool.position[points], position, True)
-    _move_back(pose, owner, pool.normal[points], normal, False)
-    _move_back(pose, owner, pool.to_sensor[points], to_sensor, False)
-    cluster = pool.cluster[of]
+    of_points, cluster = np.repeat(pose, each, axis=0), pool.cluster[of]
     _move_clusters(pose, of, each, cluster)
-    return FovClusters(position, normal, to_sensor, pool.part[points], pool.weight[points], pool.leg[points], cluster)
-
-
-@compiled(allocates=False)
-def _move_back(pose, owner, values, out, is_place):  # type: ignore[no-untyped-def]
-    """Sets out (n, 3) to places or directions (n, 3) before the moves of the poses of their owners (n,)."""
-    for k in range(len(out)):
-        own = pose[owner[k]]
-        v = get(values, k, 0)
-        put(out, k, 0, moved_back(own, v) if is_place else turned_back(own, v))
+    return FovClusters(
+        places_before(of_points, pool.position[points]), directions_before(of_points, pool.normal[points]),
+        directions_before(of_points, pool.to_sensor[points]), pool.part[points], pool.weight[points],
+        pool.leg[points], cluster,
+    )  # fmt: skip
 
 
 @compiled(allocates=False)

@@ -17,9 +17,9 @@ from datagen.records.arrays import Floats, l2_norm
 from datagen.records.checks import check_kind, check_seed
 from datagen.transport.blocks import BlocksOf
 from datagen.transport.coincidence import set_apart
-from datagen.transport.cuts import SCATTER, SHARED
+from datagen.transport.cuts import FAINT, SCATTER, SHARED
 from datagen.transport.problem import Problem, components_asked
-from datagen.transport.shared_light import FAINT, Moving, Static, in_view, moving_light, static_of
+from datagen.transport.shared_light import Moving, Static, in_view, moving_light, static_of
 from datagen.transport.simulate import MET, Samples, sampled, transient_of, warnings_of
 
 
@@ -173,7 +173,7 @@ def shared_light(
     if hidden.all():
         return None
     others, moving = [name for name in components if name != "primary"], moving_light(static)
-    light = _joined(scene, times, static, moving, accuracy)
+    light = _three_bounces(scene, times, static, moving, accuracy)
     if others:
         light = _with_others(light, scene, capture, accuracy, seed, others)
     for f in np.flatnonzero(hidden).tolist():
@@ -189,7 +189,7 @@ def shared_light(
     return replace(light, met_target=met, samplers=samplers, seconds=seconds)
 
 
-def _joined(scene: Scene, times: Floats, static: Static, moving: Moving, accuracy: Accuracy) -> SequenceLight:
+def _three_bounces(scene: Scene, times: Floats, static: Static, moving: Moving, accuracy: Accuracy) -> SequenceLight:
     """Three bounces of a sequence, from the light of the static room and what moves."""
     A, F = static.light, len(times)
     shape, each = A.stderr.shape, SCATTER + SHARED

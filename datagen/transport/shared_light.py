@@ -23,19 +23,10 @@ import numpy as np
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.coincidence import set_apart
-from datagen.transport.cuts import (
-    CLOSE,
-    COARSER,
-    FEW,
-    SCATTER,
-    SHAPES,
-    SHARED,
-    STEP,
-    Cuts,
-)
+from datagen.transport.cuts import CLOSE, COARSER, FAINT, FEW, SCATTER, SHAPES, SHARED, STEP, Cuts
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.memory import VALUES_AT_ONCE
-from datagen.transport.movers import Mover, movers_last, movers_of
+from datagen.transport.movers import Mover, movers_last, movers_of, places_before
 from datagen.transport.moving_light import Jobs, OwnLight
 from datagen.transport.problem import Problem
 from datagen.transport.silhouettes import Shadows
@@ -56,12 +47,8 @@ FALLS = 0.7
 """Power of δ with which errors of movers' own light fall: 0.6 to 0.9 of boxes and persons."""
 ELEMENTS = 16
 """Elements of a mover in a histogram, at least: of fewer, those that a pilot missed have most of the error."""
-FAINT = 1e-4
-"""Light that moves, relative to the static light, below which it is known no better than if it had as much."""
 LINES = 3
 """Lines of sight along a side of a pixel, on which movers may stand."""
-AT_ONCE = VALUES_AT_ONCE
-"""Numbers in the arrays of some histograms in all frames: with more, memory that is new takes a third of the time."""
 
 
 class Static(NamedTuple):
@@ -149,7 +136,8 @@ def moving_light(static: Static) -> Moving:
         {own.mover.name: np.zeros(F) for own in owns}, {name: np.zeros((F, H, T)) for name in shadows.parts},
         np.zeros((F, H)), np.zeros(F), np.zeros(F), 0.0,
     )  # fmt: skip
-    step = max(AT_ONCE // (2 * F * T * (2 + len(shadows.parts))), 1)
+    # With more numbers at once, memory that is new takes a third of the time.
+    step = max(VALUES_AT_ONCE // (2 * F * T * (2 + len(shadows.parts))), 1)
     for at in range(0, H, step):
         some = np.arange(at, min(at + step, H))
         _add(found, some, owns, shadows, effort, Jobs.of(cuts, some, np.tile(np.arange(F)[:, None], len(some))))
@@ -226,7 +214,7 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
     # Of each mover, and of their shadows, an equal share.
     share, per = math.sqrt(1.0 / (1 + len(owns))), math.sqrt(F * H)
     looks = [_Pilot(own.run(jobs, np.inf, np.inf, 1)[0], more) for own in owns]
-    asked = share * _asked(static, _moving(looks, blocked).norm, whole)
+    asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
     delta, again, few = np.full(len(owns), COARSER * asked / per), *np.full((2, len(owns)), True)
     for turn in range(PILOTS):
         for m in np.flatnonzero(again).tolist():
@@ -234,7 +222,7 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
             looks[m] = _Pilot(owns[m].run(jobs, delta[m], asked / per, 10 + turn)[0], more)
             few[m] = owns[m].samples - before < 2 * count * ELEMENTS
         # With less noise there is less light than the look seemed to meet.
-        asked = share * _asked(static, _moving(looks, blocked).norm, whole)
+        asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
         error = np.maximum([look.error for look in looks], 1e-3 * asked)
         wanted = np.minimum(delta * (asked / error) ** (1.0 / FALLS), np.where(few, delta / CLOSE**2, delta))
         again = CLOSE * wanted < delta
@@ -248,7 +236,7 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
     return Effort(list(delta), asked / per, 2 * round(0.5 * float(np.clip(side, *SIDES))))
 
 
-def _asked(static: Static, norm: float, whole: float) -> float:
+def _error_asked(static: Static, norm: float, whole: float) -> float:
     """L2 error that is asked of the light that moves, of all frames together, photons, where its L2 norm is `norm`,
     and that of the static light of all frames `whole`."""
     accuracy = static.problem.accuracy
@@ -280,7 +268,7 @@ def _hides(static: Static, mover: Mover, pose: Floats, device: Floats, points: F
     """Whether a mover at poses (n, 5) stands between the device (3,) and points (n, 3)."""
     low, high = mover.vertices.min(axis=0), mover.vertices.max(axis=0)
     middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    a, b = _before(pose, device), _before(pose, points)
+    a, b = places_before(pose, np.tile(device, (len(pose), 1))), places_before(pose, points)
     # Only what passes the mover's sphere is worth a ray.
     along = np.clip(np.einsum("nk,nk->n", middle - a, b - a) / np.maximum(((b - a) ** 2).sum(axis=1), 1e-300), 0, 1)
     near = np.linalg.norm(a + along[:, None] * (b - a) - middle, axis=1) <= radius
@@ -289,10 +277,3 @@ def _hides(static: Static, mover: Mover, pose: Floats, device: Floats, points: F
     caster = static.problem.caster
     start, end = caster._scaled(a[near]), caster._scaled(b[near])
     return bool(mover.hides(start, end - start).any())
-
-
-def _before(pose: Floats, points: Floats) -> Floats:
-    """Points (n, 3), or one (3,), before the moves of poses (n, 5)."""
-    d = points - pose[:, 2:]
-    c, s = pose[:, 0], pose[:, 1]
-    return np.column_stack([c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], d[:, 2]])

@@ -443,7 +443,7 @@ def _ramp(x):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _arrived(t, one, two):  # type: ignore[no-untyped-def]
+def _share_by(t, one, two):  # type: ignore[no-untyped-def]
     """Share of light that has come by time t after its mean, spread evenly over `one`, and again over `two` ≤ one."""
     if two < BESIDE * one:
         return min(max(t / one + 0.5, 0.0), 1.0)
@@ -466,10 +466,10 @@ def _deposit(histogram, t, one, two, light):  # type: ignore[no-untyped-def]
     if t + half <= 0.0 or t - half >= T:
         return light
     first, last = max(math.floor(t - half), 0), min(math.floor(t + half), T - 1)
-    before = _arrived(first - t, one, two)
+    before = _share_by(first - t, one, two)
     begin = before
     for k in range(first, last + 1):
-        now = _arrived(k + 1.0 - t, one, two)
+        now = _share_by(k + 1.0 - t, one, two)
         histogram[k] += light * (now - before)
         before = now
     return light * (1.0 - before + begin)

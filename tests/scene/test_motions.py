@@ -357,7 +357,9 @@ def test_a_free_way_is_one_that_close_looks_find_free() -> None:
         times = np.linspace(0, 1, int(long / 0.005) + 100)
         clearance = 0.05 * ((1 - LOST_CLEARANCE) if found is None else 1.05)
         looks = [
-            replace(space, clearance_m=clearance, taken=[*space.taken, other.occupied(t)]).obstacle(mover.occupied(t))
+            replace(space, clearance_m=clearance, taken=[*space.taken, other.space_taken(t)]).obstacle(
+                mover.space_taken(t)
+            )
             for t in times
         ]
         assert any(looks) == (found is not None)
@@ -372,9 +374,9 @@ def test_a_mover_knows_how_far_it_reaches() -> None:
         times = np.array([0.0, 0.4, 1.0])
         mover = Mover(solid, 0.0, times, np.column_stack([rng.uniform(-2, 2, (3, 2)), rng.uniform(-360, 360, 3)]))
         start, end = np.sort(rng.uniform(*((0, 0.4) if rng.random() < 0.5 else (0.4, 1)), 2))
-        middle = mover.occupied(0.5 * (start + end)).footprint
+        middle = mover.space_taken(0.5 * (start + end)).footprint
         far = [
-            np.linalg.norm(mover.occupied(t).footprint - middle, axis=1).max() for t in np.linspace(start, end, 50)
+            np.linalg.norm(mover.space_taken(t).footprint - middle, axis=1).max() for t in np.linspace(start, end, 50)
         ]
         assert max(far) <= mover.reach_m(start, end) * (1 + 1e-9)
     standing = Mover(prism(rectangle(1, 1), 1.0), 0.0, np.array([0.5]), np.array([[1.0, 2.0, 30.0]]))

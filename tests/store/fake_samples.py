@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from datagen.building.build import BuildResult, build
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.seeding import Purpose, generator
-from datagen.store import schema_of
+from datagen.store import reader, schema_of
 
 
 def small_config(**changes: object) -> DatasetConfig:
@@ -124,3 +125,15 @@ def deaf_at_5(config: DatasetConfig, index: int) -> Sample:
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
         time.sleep(3600)
     return fake_sample(config, index)
+
+
+def decoded_from_now(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The bytes of each block that readers decode after this call; the list grows."""
+    sizes, decompress = list[int](), reader.blosc.decompress
+
+    def counting(frame: bytes, out: np.ndarray) -> None:
+        sizes.append(out.nbytes)
+        decompress(frame, out)
+
+    monkeypatch.setattr(reader.blosc, "decompress", counting)
+    return sizes

@@ -14,7 +14,7 @@ import pytest
 import zarr
 from damage import reseal
 from datasets import write_dataset
-from fake_samples import build_fakes, fake_sample, sequence_config, small_config
+from fake_samples import build_fakes, decoded_from_now, fake_sample, sequence_config, small_config
 
 import datagen as dg
 from datagen.building.replay import replayed
@@ -141,14 +141,7 @@ def test_a_window_of_frames_decodes_its_own_blocks_alone(
     assert field.frame_bytes == frame_bytes and field.chunk[0] == frames_a_chunk
     assert (block_bytes(field) == frame_bytes) is is_block
     values = np.asarray(zarr.open_group(root / "data.zarr", mode="r")["histogram"][:])  # type: ignore[index]
-    decoded = list[int]()
-    decompress = reading.blosc.decompress
-
-    def counting(frame: bytes, out: np.ndarray) -> None:
-        decoded.append(out.nbytes)
-        decompress(frame, out)
-
-    monkeypatch.setattr(reading.blosc, "decompress", counting)
+    decoded = decoded_from_now(monkeypatch)
     for first, count in ((0, 1), (3, 2), (5, 3), (0, 8), (7, 1)):
         part = Part((np.arange(first, first + count), np.arange(8), np.arange(1)), slice(0, bins))
         reader = DatasetReader(root, manifest, ["histogram"], check=False)

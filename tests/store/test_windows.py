@@ -11,7 +11,7 @@ import pytest
 import torch
 import zarr
 from datasets import rewritten, write_dataset
-from fake_samples import fake_sample, sequence_config, small_config
+from fake_samples import decoded_from_now, fake_sample, sequence_config, small_config
 from torch.utils.data import DataLoader
 
 import datagen as dg
@@ -206,14 +206,7 @@ def test_what_stands_is_gone_from_volumes_and_noise_has_a_standard_deviation_of_
 
 def test_a_window_decodes_no_more_than_its_frames(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "MEMORY_BYTES", 0)
-    decoded = list[int]()
-    decompress = reading.blosc.decompress
-
-    def counting(frame: bytes, out: np.ndarray) -> None:
-        decoded.append(out.nbytes)
-        decompress(frame, out)
-
-    monkeypatch.setattr(reading.blosc, "decompress", counting)
+    decoded = decoded_from_now(monkeypatch)
     data = dg.TransientDataset(dataset, ("histogram",), frames=2, frame_step=1, check=False, counts="stored")
     for item in (0, 5, 13):
         decoded.clear()
