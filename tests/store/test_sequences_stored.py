@@ -68,13 +68,14 @@ def test_format_2_is_of_sequences_alone(tmp_path: Path) -> None:
         assert ("`f` begins f / 10 s" in (root / "README.md").read_text()) is (number == 2)
 
 
-def test_datasets_of_format_1_are_so_to_the_byte() -> None:
-    """The manifest and all metadata of the dataset of format 1 that is kept, written anew."""
-    kept = Path(__file__).parents[1] / "regression/format_1/dataset"
+@pytest.mark.parametrize(("number", "axes"), [(1, {"bin"}), (2, {"bin", "frame"})])
+def test_datasets_of_a_format_are_so_to_the_byte(number: int, axes: set[str]) -> None:
+    """The manifest and all metadata of the dataset of each format that is kept, written anew."""
+    kept = Path(__file__).parents[1] / f"regression/format_{number}/dataset"
     old = read_manifest(kept)
     config = config_from_mapping(old.config, look_for_files=False)
     new = describe(config, schema_of(config, old.schema.scenes_per_shard))
-    assert new.metadata == old.metadata and {*stored_axes(config)} == {"bin"}
+    assert new.metadata == old.metadata and {*stored_axes(config)} == axes
     written = replace(new, made_by=old.made_by, stats=old.stats).to_bytes()
     # Words about the table may change, as they have since version 1.0.
     stated = [json.loads(text) for text in (written, (kept / "dataset.json").read_bytes())]

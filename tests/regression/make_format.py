@@ -1,4 +1,4 @@
-"""Make the small dataset of format 1 that `test_format.py` reads: `python tests/regression/make_format_1.py`.
+"""Make the small dataset of a format that `test_format.py` reads: `python tests/regression/make_format.py NUMBER`.
 
 It is made once for each number of the format, and again only where the number has not been released yet. The values
 beside it are read by zarr, not by datagen's own reader.
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
+import sys
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,28 @@ from datagen.pipeline import simulate_sample
 from datagen.records import Sample
 from datagen.store.verify import dataset_digest
 
-FOLDER = Path(__file__).parent / "format_1"
-DATASET, VALUES = FOLDER / "dataset", FOLDER / "values.json"
+
+@dataclass(frozen=True)
+class Kept:
+    """The files of a format: what it was built from, the dataset, and what zarr read in it."""
+
+    format: int
+
+    @property
+    def folder(self) -> Path:
+        return Path(__file__).parent / f"format_{self.format}"
+
+    @property
+    def config(self) -> Path:
+        return self.folder / "config.yaml"
+
+    @property
+    def dataset(self) -> Path:
+        return self.folder / "dataset"
+
+    @property
+    def values(self) -> Path:
+        return self.folder / "values.json"
 
 
 def values_of(dataset: Path) -> dict[str, Any]:
@@ -44,12 +65,12 @@ def with_few_parameters(config: DatasetConfig, index: int) -> Sample:
     return replace(sample, parameters=few)
 
 
-def main() -> None:
-    shutil.rmtree(DATASET, ignore_errors=True)
-    config = load_config(FOLDER / "config.yaml")
-    build(config, DATASET, progress=False, sample_function=with_few_parameters)
-    VALUES.write_text(json.dumps(values_of(DATASET), indent=1) + "\n")
+def main(number: int) -> None:
+    kept = Kept(number)
+    shutil.rmtree(kept.dataset, ignore_errors=True)
+    build(load_config(kept.config), kept.dataset, progress=False, sample_function=with_few_parameters)
+    kept.values.write_text(json.dumps(values_of(kept.dataset), indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]))
