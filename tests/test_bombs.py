@@ -28,7 +28,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.formats.matlab import read_mat
+from datagen.formats.layouts import read_mat
 from datagen.formats.tal import read_tal
 from datagen.untrusted import read_npy, read_npz
 

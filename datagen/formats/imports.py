@@ -26,7 +26,7 @@ from datagen.formats.frames import (
     sample_of_frame,
     scene_of_files,
 )
-from datagen.formats.matlab import read_mat
+from datagen.formats.layouts import read_mat
 from datagen.formats.recording import Recording, metres_of, numbers_in, seconds_of
 from datagen.formats.tal import read_tal
 from datagen.records import Sample, Scalar, TimeAxis

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from datagen.config.capture import TimeConfig
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.formats.containers import wall_normal
+from datagen.formats.containers import Content, wall_normal
 from datagen.records import OnSurfaces, TimeAxis
 from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import as_given
@@ -273,6 +273,11 @@ def time_bins(
         ).axis()  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {str(error).removeprefix('TimeConfig: ')}") from None
+
+
+def bin_width_s(content: Content) -> float | None:
+    """Seconds of `bin_resolution`, the width of a bin as files of MATLAB state it; None for a file without it."""
+    return content.number("bin_resolution") if "bin_resolution" in content.arrays else None
 
 
 def refuse_options(options: ImportOptions, why: str) -> None:

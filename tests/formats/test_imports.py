@@ -19,7 +19,7 @@ from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.formats import export
 from datagen.formats.containers import VALUES, matlab_content
-from datagen.formats.matlab import read_mat
+from datagen.formats.layouts import read_mat
 from datagen.formats.recording import Recording, recording_of
 from datagen.formats.tal import read_tal
 from datagen.store import read_manifest, verify
