@@ -264,7 +264,11 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             f"{handed.get(name, name)}{anew if name in self._light else ''} {self.shape(handed.get(name, name))}"
             for name in self.selected
         )
-        return f"TransientDataset({str(self.path)!r}: {len(self)} scenes{part}; {', '.join(fields)})"
+        items = f"{len(self)} scenes"
+        if self._windows.are_asked_for:
+            scenes = len(np.unique(self.scenes))
+            items = f"{len(self)} windows of {self._windows.length} frames, in {scenes} scenes"
+        return f"TransientDataset({str(self.path)!r}: {items}{part}; {', '.join(fields)})"
 
     @NotHandedOn
     def __getitems__(self, items: Sequence[int]) -> list[dict[str, torch.Tensor]]:

@@ -10,10 +10,11 @@ from fake_samples import build_fakes, small_config
 
 
 @pytest.fixture(scope="session")
-def pristine(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The dataset of an uninterrupted build with one worker. Tests must not change it."""
+def pristine(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset of an uninterrupted build with one worker, of `small_config` unless a test names another. Tests
+    must not change it."""
     root = tmp_path_factory.mktemp("pristine") / "set"
-    result = build_fakes(small_config(), root)
+    result = build_fakes(getattr(request, "param", small_config)(), root)
     assert (result.built, result.kept, result.complete) == (3, 0, True)
     return root
 

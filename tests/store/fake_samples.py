@@ -18,7 +18,8 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Sample
 from datagen.seeding import Purpose, generator
-from datagen.store import reader, schema_of
+from datagen.store import read_manifest, reader, schema_of
+from datagen.store.arrays import shard_file
 
 
 def small_config(**changes: object) -> DatasetConfig:
@@ -43,6 +44,12 @@ def sequence_config(**changes: object) -> DatasetConfig:
     """`small_config` of sequences of three frames."""
     detector = {"mode": "ideal", "photons_per_pulse": 100.0, "cycles": 100}
     return small_config(**{"sequence": {"frames": 3, "rate_hz": 10}, "detector": detector} | changes)
+
+
+EITHER = pytest.mark.parametrize(
+    "pristine", [small_config, sequence_config], ids=["scenes", "sequences"], indirect=True
+)
+"""For tests of what holds of scenes that are measured once and of sequences alike."""
 
 
 def large_config() -> DatasetConfig:
@@ -125,6 +132,11 @@ def deaf_at_5(config: DatasetConfig, index: int) -> Sample:
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
         time.sleep(3600)
     return fake_sample(config, index)
+
+
+def file_of(dataset: Path, field: str, shard: int) -> Path:
+    """The file of a shard of a field."""
+    return dataset / shard_file(read_manifest(dataset).schema.by_name[field], shard)
 
 
 def decoded_from_now(monkeypatch: pytest.MonkeyPatch) -> list[int]:

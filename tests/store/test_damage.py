@@ -16,7 +16,7 @@ import pytest
 import zarr
 from damage import reseal
 from datasets import write_dataset
-from fake_samples import fake_sample
+from fake_samples import EITHER, fake_sample, file_of
 
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import CheckError
@@ -39,9 +39,9 @@ def config_of(rows: int, columns: int, pixels: int, bins: int, scenes: int = 10)
     )
 
 
+@EITHER
 def test_damage_is_an_error(dataset: Path) -> None:
-    manifest = read_manifest(dataset)
-    path = dataset / "data.zarr/histogram/c/0/0/0/0"
+    manifest, path = read_manifest(dataset), file_of(dataset, "histogram", 0)
     sound = path.read_bytes()
     for data, check, message in (
         (bytes([sound[0] ^ 1]) + sound[1:], True, "scene 0: the checksum does not match"),
@@ -57,13 +57,12 @@ def test_damage_is_an_error(dataset: Path) -> None:
         assert str(path) in str(refused.value) and "build` again" in str(refused.value)
 
 
+@EITHER
 @pytest.mark.parametrize("name", ["histogram", "laser_points"])
 def test_a_missing_chunk_is_an_error_and_no_fill_value(dataset: Path, name: str) -> None:
     """A chunk that is missing would be filled by zarr; two shards exchanged would be read as they are."""
     manifest = read_manifest(dataset)
-    one, other = (next((dataset / f"data.zarr/{name}/c/{shard}").rglob("0")) for shard in (0, 1))
-    while one.is_dir():
-        one, other = one / "0", other / "0"
+    one, other = (file_of(dataset, name, shard) for shard in (0, 1))
     one.rename(dataset / "aside")
     with pytest.raises(CheckError, match="scenes 0-3: cannot be opened"):
         DatasetReader(dataset, manifest, [name], check=False).read(name, [0])
@@ -132,18 +131,16 @@ def test_threads_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         read(3)
 
 
-SHARD = "data.zarr/histogram/c/1/0/0/0"
-
-
+@EITHER
 def test_a_flip_that_hashes_do_not_guard_is_found_by_the_checksum(dataset: Path) -> None:
     """Any Zarr reader finds it, without commit records, because the codec chain ends with a CRC-32C."""
-    manifest = read_manifest(dataset)
-    sound = (dataset / SHARD).read_bytes()
+    manifest, file = read_manifest(dataset), file_of(dataset, "histogram", 1)
+    sound = file.read_bytes()
     values = zarr.open_array(dataset / "data.zarr/histogram", mode="r")[4:8]
     for place in range(0, len(sound), 11):
         data = bytearray(sound)
         data[place] ^= 0x10
-        (dataset / SHARD).write_bytes(data)
+        file.write_bytes(data)
         for read in (
             lambda: zarr.open_array(dataset / "data.zarr/histogram", mode="r")[4:8],
             lambda: DatasetReader(dataset, manifest, ["histogram"], check=False).read("histogram", range(4, 8)),
@@ -155,7 +152,11 @@ def test_a_flip_that_hashes_do_not_guard_is_found_by_the_checksum(dataset: Path)
             assert unnoticed, f"byte {place}: another value was read without an error"
 
 
+@EITHER
 def test_damage_is_named(dataset: Path, pristine: Path) -> None:
+    file = file_of(dataset, "histogram", 1)
+    name_of_file = file.relative_to(dataset).as_posix()
+
     def the_problem() -> str:
         (problem,) = verify(dataset).problems
         return problem
@@ -166,10 +167,10 @@ def test_damage_is_named(dataset: Path, pristine: Path) -> None:
         (dataset / name).unlink()
         assert the_problem().startswith(f"{name}: missing")
         shutil.copy(pristine / name, dataset / name)
-    (dataset / SHARD).write_bytes((dataset / SHARD).read_bytes()[:-9])
-    assert the_problem().startswith(f"shard 1: {SHARD}:") and "were written" in the_problem()
-    (dataset / SHARD).unlink()
-    assert the_problem() == f"shard 1: {SHARD}: missing"
+    file.write_bytes(file.read_bytes()[:-9])
+    assert the_problem().startswith(f"shard 1: {name_of_file}:") and "were written" in the_problem()
+    file.unlink()
+    assert the_problem() == f"shard 1: {name_of_file}: missing"
     (dataset / "build/shard-000001.json").unlink()
     assert the_problem().startswith("shard 1: not there (no commit record)")
 
@@ -179,7 +180,7 @@ def test_files_that_cannot_be_read_are_named_with_all_other_problems(
 ) -> None:
     """One has no permission, folders stand in the places of others; none of them ends the verification."""
     names = ("data.zarr/bin/c/0", "data.zarr/zarr.json", "README.md", "build/shard-000002.json")
-    locked, opens, handles = dataset / SHARD, os.open, len(os.listdir("/proc/self/fd"))
+    locked, opens, handles = file_of(dataset, "histogram", 1), os.open, len(os.listdir("/proc/self/fd"))
 
     def refuse(path: object, *more: object) -> int:
         if path == locked:
@@ -201,6 +202,7 @@ def test_files_that_cannot_be_read_are_named_with_all_other_problems(
     assert len(os.listdir("/proc/self/fd")) == handles
 
 
+@EITHER
 def test_exchanged_shards_are_found_by_the_hash_of_a_file(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is decoded for it. Checksums of chunks cannot tell: those of other values are as sound, and the CRC-32C
     of a file whose pieces end in their CRC-32C depends on their lengths alone."""
@@ -217,6 +219,7 @@ def test_exchanged_shards_are_found_by_the_hash_of_a_file(dataset: Path, monkeyp
     assert [problem.split(":")[0] for problem in verify(dataset).problems] == ["shard 0", "shard 1"]
 
 
+@EITHER
 def test_a_changed_configuration_is_found(dataset: Path) -> None:
     reseal(dataset / "dataset.json", lambda values: values["config"].update(seed=values["config"]["seed"] + 1))
     assert any("fingerprint" in problem for problem in verify(dataset).problems)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from datasets import write_dataset
-from fake_samples import fake_sample, noisy_config
+from fake_samples import fake_sample, noisy_config, sequence_config
 from torch.utils.data import ConcatDataset, DataLoader, Subset
 
 import datagen as dg
@@ -29,9 +29,9 @@ def one_dark(config: DatasetConfig, index: int) -> Sample:
     return sample
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_dataset(noisy_config(), tmp_path_factory.mktemp("events") / "set", one_dark)
+@pytest.fixture(scope="module", params=[noisy_config, sequence_config], ids=["scenes", "sequences"])
+def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(request.param(), tmp_path_factory.mktemp("events") / "set", one_dark)
 
 
 @pytest.mark.parametrize(("counts", "dtype", "workers"), [("stored", torch.uint16, 2), ("int64", torch.int64, 0)])
@@ -67,11 +67,12 @@ def test_indices_are_numpys(shape: tuple[int, ...], dtype: type[np.integer[Any]]
 
 def test_an_item_has_its_own_events(dataset: Path) -> None:
     data, stored = dg.TransientDataset(dataset, representation="events"), dg.TransientDataset(dataset)
+    shape = stored.shape("histogram")
     for item in (*range(12), -1):
         sample = data[item]
-        assert sample["events"].shape == (len(sample["counts"]), 3)
-        assert torch.equal(dg.dense(sample["events"], sample["counts"], (4, 1, 16)), stored[item]["histogram"])
-    assert data[3]["events"].shape == (0, 3), "a scene without a count"
+        assert sample["events"].shape == (len(sample["counts"]), len(shape))
+        assert torch.equal(dg.dense(sample["events"], sample["counts"], shape), stored[item]["histogram"])
+    assert data[3]["events"].shape == (0, len(shape)), "a scene without a count"
     assert len(data.__getitems__([3, 3])) == 2
 
 

@@ -20,7 +20,7 @@ import pytest
 import torch
 import zarr
 from damage import told
-from fake_samples import build_fakes, fails_at_5, fake_sample, small_config
+from fake_samples import build_fakes, fails_at_5, fake_sample, file_of, sequence_config, small_config
 
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
@@ -36,6 +36,8 @@ from datagen.store.verify import dataset_digest
 FIELDS = ("histogram", "depth", "laser_points")
 FEW, MANY = 10, 18
 """Scenes before and after: the last shard of four is filled up, and two more are made."""
+Config = Callable[[int], DatasetConfig]
+"""The configuration of so many scenes."""
 
 
 @pytest.fixture(autouse=True)
@@ -44,12 +46,17 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def config(scenes: int) -> DatasetConfig:
-    return small_config(scenes=scenes)
+@pytest.fixture(scope="module", params=[small_config, sequence_config], ids=["scenes", "sequences"])
+def config(request: pytest.FixtureRequest) -> Config:
+    """Of scenes that are measured once, and of sequences."""
+    made_of: Callable[..., DatasetConfig] = request.param
+    return lambda scenes: made_of(scenes=scenes)
 
 
 def grow(root: Path, **options: Any) -> Any:
-    return build_fakes(config(MANY), root, **options)
+    """What `config` asks for, whichever that is."""
+    made_of = small_config if read_manifest(root).frames is None else sequence_config
+    return build_fakes(made_of(scenes=MANY), root, **options)
 
 
 def values(data: TransientDataset) -> dict[int, dict[str, torch.Tensor]]:
@@ -65,7 +72,7 @@ def files(root: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A complete dataset, of which one scene of a full shard could not be made."""
     root = tmp_path_factory.mktemp("small") / "set"
     with harm.quietly(), suppress(CheckError):
@@ -74,7 +81,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sound(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same without a failure."""
     root = tmp_path_factory.mktemp("sound") / "set"
     with harm.quietly():
@@ -83,7 +90,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def large(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The dataset that it grows into."""
     root = tmp_path_factory.mktemp("large") / "set"
     with harm.quietly():
@@ -120,7 +127,7 @@ def check_old_or_new(root: Path, small: Path, large: Path, before: TransientData
 
 @pytest.mark.parametrize("number", [2, pytest.param(None, marks=pytest.mark.nightly)])
 def test_a_growth_that_is_killed_between_any_two_steps(
-    tmp_path: Path, small: Path, large: Path, number: int | None
+    tmp_path: Path, config: Config, small: Path, large: Path, number: int | None
 ) -> None:
     """Half of the kills come in the last step, in which files take their places. Building with the old number of
     scenes does no harm, and the same growth again makes the larger dataset."""
@@ -140,7 +147,7 @@ def test_a_growth_that_is_killed_between_any_two_steps(
     (last,), end = begin, len(steps)
     chosen = [*range(end)]
     if number is not None:
-        chosen = [*range(1, last, last // number), *range(last, end, (end - last) // number)]
+        chosen = [*range(1, last, last // number), *np.linspace(last, end - 1, number + 1, dtype=int).tolist()]
     for step in chosen:
         shutil.rmtree(root)
         shutil.copytree(small, root)
@@ -156,7 +163,7 @@ def test_a_growth_that_is_killed_between_any_two_steps(
 
 
 def test_until_it_is_complete_no_file_of_the_smaller_dataset_changes(
-    tmp_path: Path, sound: Path, large: Path
+    tmp_path: Path, config: Config, sound: Path, large: Path
 ) -> None:
     root, tried = tmp_path / "set", list[int]()
     shutil.copytree(sound, root)
@@ -185,7 +192,7 @@ def test_until_it_is_complete_no_file_of_the_smaller_dataset_changes(
     assert {name: data for name, data in files(root).items() if not name.startswith("build/")} == plain
 
 
-def test_a_growth_may_go_further_before_it_is_complete(tmp_path: Path) -> None:
+def test_a_growth_may_go_further_before_it_is_complete(tmp_path: Path, config: Config) -> None:
     root, due, tried = tmp_path / "set", tmp_path / "due", list[int]()
 
     def sample(config: DatasetConfig, index: int) -> Sample:
@@ -201,7 +208,7 @@ def test_a_growth_may_go_further_before_it_is_complete(tmp_path: Path) -> None:
     assert set(files(root)) == set(files(due)) and verify(root, deep=True).problems == ()
 
 
-def test_a_growth_that_version_1_0_0_began(tmp_path: Path, sound: Path, large: Path) -> None:
+def test_a_growth_that_version_1_0_0_began(tmp_path: Path, config: Config, sound: Path, large: Path) -> None:
     """It stated the larger dataset at once, and the last shard of the smaller one has too few scenes for that."""
     root, tried = tmp_path / "set", list[int]()
     shutil.copytree(sound, root)
@@ -239,7 +246,7 @@ def test_damage_to_what_waits_is_told_and_made_anew(tmp_path: Path, sound: Path,
     harms: list[Callable[[Path], object]] = [
         lambda waiting: (waiting / "dataset.json").write_text("{}"),
         lambda waiting: (waiting / "build/shard-000002.json").write_bytes(b"{"),
-        lambda waiting: (waiting / "data.zarr/histogram/c/2/0/0/0").write_bytes(b""),
+        lambda waiting: file_of(waiting, "histogram", 2).write_bytes(b""),
         shutil.rmtree,
     ]
     for change in harms:
@@ -283,7 +290,7 @@ def test_a_build_does_not_wait_for_ever_for_one_that_was_stopped(
     assert not (root / GROWTH).exists() and verify(root, deep=True).problems == ()
 
 
-def test_an_incomplete_first_build_is_read_in_part(tmp_path: Path, large: Path) -> None:
+def test_an_incomplete_first_build_is_read_in_part(tmp_path: Path, config: Config, large: Path) -> None:
     root = tmp_path / "set"
     build_fakes(config(MANY), root, shards="1,3")
     with pytest.raises(InputError, match=r"3 of 5 shards are not committed.*partial=True"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,13 @@ import pytest
 import torch
 import zarr
 from datasets import write_dataset
-from fake_samples import fails_at_5, fake_sample, noisy_config, small_config
+from fake_samples import fails_at_5, fake_sample, noisy_config, sequence_config, small_config
 from scipy.stats import chi2
 from torch.utils.data import DataLoader
 
 import datagen as dg
 from datagen.building.build import build
-from datagen.config import config_from_mapping
+from datagen.config import DatasetConfig, config_from_mapping
 from datagen.detector import detector_for, expected_histogram
 from datagen.errors import CheckError, InputError
 from datagen.loader import EpochSampler, TransientDataset, collate
@@ -25,9 +26,9 @@ from datagen.store import read_manifest
 pytestmark = pytest.mark.usefixtures("builds_here")
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_dataset(noisy_config(), tmp_path_factory.mktemp("loader") / "set", fake_sample)
+@pytest.fixture(scope="module", params=[noisy_config, sequence_config], ids=["scenes", "sequences"])
+def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(request.param(), tmp_path_factory.mktemp("loader") / "set", fake_sample)
 
 
 def test_items_are_the_stored_values(dataset: Path) -> None:
@@ -53,7 +54,7 @@ def test_loader_workers_give_the_same_batches(
     data[0]
     here = list(DataLoader(data, batch_size=5))
     there = list(DataLoader(data, batch_size=5, num_workers=workers, multiprocessing_context=start))
-    assert [batch["histogram"].shape for batch in here] == [(5, 4, 1, 16), (5, 4, 1, 16), (2, 4, 1, 16)]
+    assert [batch["histogram"].shape for batch in here] == [(n, *data.shape("histogram")) for n in (5, 5, 2)]
     for a, b in zip(here, there, strict=True):
         assert all(torch.equal(a[name], b[name]) for name in a)
 
@@ -95,12 +96,16 @@ def test_wrong_arguments_of_a_loader_are_refused(dataset: Path, tmp_path: Path) 
         TransientDataset(tmp_path / "set")
 
 
-def test_scenes_that_failed_are_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("made_of", [small_config, sequence_config], ids=["scenes", "sequences"])
+def test_scenes_that_failed_are_left_out(tmp_path: Path, made_of: Callable[[], DatasetConfig]) -> None:
     with pytest.raises(CheckError):
-        build(small_config(), tmp_path / "set", progress=False, sample_function=fails_at_5)
+        build(made_of(), tmp_path / "set", progress=False, sample_function=fails_at_5)
     due = [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
     with pytest.warns(UserWarning, match="1 scenes could not be made"):
         data = TransientDataset(tmp_path / "set")
+        if made_of is sequence_config:
+            windows = TransientDataset(tmp_path / "set", frames=2, frame_step=1)
+            assert windows.scenes.tolist() == np.repeat(due, 2).tolist()
         splits = [TransientDataset(tmp_path / "set", split=name) for name in ("train", "val", "test")]
     assert [int(item["scene"]) for item in data.__getitems__(range(11))] == due
     assert data.parameters("index").tolist() == due

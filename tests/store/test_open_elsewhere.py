@@ -15,10 +15,10 @@ import pytest
 import yaml
 import zarr
 from datasets import write_dataset
-from fake_samples import fake_sample, small_config
+from fake_samples import fake_sample, sequence_config, small_config
 
 import datagen as dg
-from datagen.config import DatasetConfig, load_config, time_axes
+from datagen.config import DatasetConfig, load_config, stored_axes, time_axes
 from datagen.config.store import StoredField
 from datagen.errors import InputError
 from datagen.store import Description, committed, read_manifest, schema_of, verify
@@ -37,11 +37,13 @@ CAPTURES: dict[str, dict[str, Any]] = {
         "field_of_view": {"rows": 2, "columns": 2}, "time": TIME,
     },
 }  # fmt: skip
+CAPTURES["sequence"] = CAPTURES["confocal"]
 
 
 def everything(capture: str) -> DatasetConfig:
     contents = [{"kind": "box", "count": 2}, {"kind": "library", "classes": ["chair"]}]
-    return small_config(
+    made_of = sequence_config if capture == "sequence" else small_config
+    return made_of(
         scene={"contents": contents}, capture=CAPTURES[capture],
         labels={"rows": 6, "columns": 8, "voxels": [4, 5, 7]},
         store={"fields": EVERY_FIELD, "scenes_per_shard": 4},
@@ -61,6 +63,8 @@ def test_a_name_of_an_axis_has_one_size() -> None:
         for config in ready
     ]:
         sizes = {axis: {time.bins} for axis, time in time_axes(config).items()}
+        if config.sequence is not None:
+            sizes["frame"] = {config.sequence.frames}
         schema = schema_of(config)
         for field in schema.fields:
             for name, size in zip(field.dims, (schema.scenes, *field.shape), strict=True):
@@ -77,7 +81,8 @@ def test_a_group_is_opened_in_one_read(dataset: Path) -> None:
         zarr.consolidate_metadata(theirs.parent)
     assert json.loads(ours.read_bytes()) == json.loads(theirs.read_bytes())
     named = {name for name, _ in zarr.open_consolidated(dataset / "data.zarr", mode="r").arrays()}
-    assert named == {"bin", *read_manifest(dataset).schema.by_name}
+    manifest = read_manifest(dataset)
+    assert named == {*stored_axes(manifest.parsed_config()), *manifest.schema.by_name}
 
 
 def test_xarray_opens_it(dataset: Path) -> None:
@@ -85,8 +90,10 @@ def test_xarray_opens_it(dataset: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         opened = xarray.open_zarr(dataset / "data.zarr", chunks=None)
-    schema = read_manifest(dataset).schema
-    assert opened.histogram.dims == ("scene", "laser", "pixel", "bin") and opened.histogram.dtype == np.uint16
+    manifest = read_manifest(dataset)
+    schema, frames = manifest.schema, () if manifest.frames is None else ("frame",)
+    assert opened.histogram.dims == ("scene", *frames, "laser", "pixel", "bin")
+    assert opened.histogram.dtype == np.uint16
     assert "_FillValue" not in opened.histogram.encoding | opened.histogram.attrs
     assert opened.histogram.attrs["units"] == "counts" and opened.depth.attrs["units"] == "m"
     assert all(of.attrs["units"] and of.attrs["long_name"] for of in opened.variables.values())
@@ -95,7 +102,7 @@ def test_xarray_opens_it(dataset: Path) -> None:
     assert "laser emission" in opened.bin.attrs["long_name"]
     points = {f"{device}_{what}" for device in ("laser", "sensor") for what in ("points", "normals", "position")}
     assert {"bin", "sensor_pixels", "relay_wall", *points} <= set(opened.coords)
-    assert set(opened.data_vars) | set(opened.coords) == {"bin", *schema.by_name}
+    assert set(opened.data_vars) | set(opened.coords) == {"bin", *frames, *schema.by_name}
     data = dg.TransientDataset(dataset, tuple(schema.by_name), counts="stored")
     for name in schema.by_name:
         assert opened[name].dtype == schema.by_name[name].dtype

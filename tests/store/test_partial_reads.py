@@ -12,7 +12,7 @@ import pytest
 import torch
 import zarr
 from datasets import write_dataset
-from fake_samples import fake_sample, noisy_config
+from fake_samples import fake_sample, noisy_config, sequence_config
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
@@ -23,8 +23,13 @@ from datagen.store.reader import Part
 FIELDS = ("histogram", "transient", "transient_stderr", "laser_points", "sensor_pixels", "depth")
 
 
-def config_of(pairing: str, rows: int, columns: int, pixels: tuple[int, int], bins: int) -> DatasetConfig:
+def config_of(
+    pairing: str, rows: int, columns: int, pixels: tuple[int, int], bins: int, frames: int | None = None
+) -> DatasetConfig:
+    """frames : of each scene, if they are sequences."""
+    sequence = {"sequence": {"frames": frames, "rate_hz": 10}, "detector": {"cycles": 1000}} if frames else {}
     return config_from_mapping({
+        **sequence,
         "scenes": 3,
         "capture": {
             "pairing": pairing,
@@ -37,13 +42,19 @@ def config_of(pairing: str, rows: int, columns: int, pixels: tuple[int, int], bi
     })  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=["several blocks", "chunks of pixels", "confocal, small"])
+@pytest.fixture(
+    scope="module",
+    params=["several blocks", "chunks of pixels", "chunks of parts of frames", "confocal, small", "sequences, small"],
+)
 def dataset(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Chunks of two and more blocks, of which rows of 2000 bytes lie in two; the others of one block each."""
+    """Chunks of two and more blocks, of which rows of 2000 bytes lie in two; the others of one block each. The last
+    ones have the usual chunks, which later tests write too."""
     config, chunk_bytes = {
         "several blocks": (config_of("exhaustive", 8, 16, (2, 1), 1000), 2**22),
         "chunks of pixels": (config_of("exhaustive", 3, 4, (2, 3), 50), 250),
         "confocal, small": (config_of("confocal", 4, 5, (1, 1), 24), 2**22),
+        "sequences, small": (config_of("confocal", 4, 5, (1, 1), 24, frames=3), 2**22),
+        "chunks of parts of frames": (config_of("exhaustive", 3, 4, (2, 3), 50, frames=3), 250),
     }[request.param]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schema, "CHUNK_BYTES", chunk_bytes)
@@ -104,7 +115,7 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
     whole = {name: np.asarray(group[name][:]) for name in FIELDS}  # type: ignore[index]
     capture = manifest.config["capture"]
     grid, confocal = (capture["scan"]["rows"], capture["scan"]["columns"]), capture["pairing"] == "confocal"
-    sizes = manifest.schema.by_name["histogram"].shape
+    sizes = manifest.schema.by_name["histogram"].shape[-3:]
     for crop in crops(np.random.default_rng(0), *sizes):
         data = dg.TransientDataset(dataset, FIELDS, counts="stored", **crop)
         order = [2, 0, 1, 2]
@@ -121,9 +132,9 @@ def test_a_part_is_the_whole_cut(dataset: Path) -> None:
         assert all(torch.equal(a["histogram"].float(), b["histogram"]) for a, b in zip(items, floats, strict=True))
 
 
-@pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_dataset(noisy_config(), tmp_path_factory.mktemp("parts") / "one", fake_sample)
+@pytest.fixture(scope="module", params=[noisy_config, sequence_config], ids=["scenes", "sequences"])
+def one(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_dataset(request.param(), tmp_path_factory.mktemp("parts") / "one", fake_sample)
 
 
 def test_redrawn_noise_is_that_of_the_whole_cut(one: Path) -> None:
@@ -136,7 +147,7 @@ def test_redrawn_noise_is_that_of_the_whole_cut(one: Path) -> None:
         counts = dg.dense(as_events["events"], as_events["counts"], (12, *data.shape("histogram")))
         assert torch.equal(counts, batch["histogram"]) and counts.sum() > 0
         for name in fields:
-            assert torch.equal(batch[name], due[name][:, [1, 3], :, 2:9])
+            assert torch.equal(batch[name], due[name][..., [1, 3], :, 2:9])
 
 
 def test_parts_are_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,13 +19,14 @@ import pytest
 import resumed_run
 import torch
 from datasets import write_dataset
-from fake_samples import fake_sample, noisy_config
+from fake_samples import fake_sample, noisy_config, sequence_config
 from torch.utils.data import BatchSampler, ConcatDataset, DataLoader, Dataset, Subset
 from torchdata.stateful_dataloader import StatefulDataLoader
 
 import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
+from datagen.store import read_manifest
 
 # torchdata 0.11 calls what torch 2.13 has given up.
 pytestmark = pytest.mark.filterwarnings("ignore:'set_vital' is deprecated")
@@ -38,8 +39,15 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(noisy_config(), tmp_path_factory.mktemp("resumed") / "set", fake_sample)
 
 
+@pytest.fixture(scope="module", params=[noisy_config(), sequence_config(scenes=6)], ids=["scenes", "windows"])
+def either(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of twelve items: scenes, or windows of sequences, of which neighbours have a frame in common."""
+    return write_dataset(request.param, tmp_path_factory.mktemp("either") / "set", fake_sample)
+
+
 def fresh(path: Path) -> dg.TransientDataset:
-    return dg.TransientDataset(path, ("histogram",), redraw_noise=True)
+    windows = {} if read_manifest(path).frames is None else {"frames": 2, "frame_step": 1}
+    return dg.TransientDataset(path, ("histogram",), redraw_noise=True, **windows)
 
 
 def rows(batch: dict[str, torch.Tensor]) -> Rows:
@@ -111,11 +119,11 @@ def taken_up(make: Any, stop: int) -> tuple[list[Rows], list[Rows]]:
 @pytest.mark.parametrize("workers", [0, 2])
 @pytest.mark.parametrize("stop", [3, 7], ids=["after an epoch", "within one"])
 @pytest.mark.parametrize("order", ["in order", "shuffled", "EpochSampler", "persistent"])
-def test_a_stateful_loader_goes_on_in_order_and_noise(dataset: Path, workers: int, stop: int, order: str) -> None:
+def test_a_stateful_loader_goes_on_in_order_and_noise(either: Path, workers: int, stop: int, order: str) -> None:
     """Although workers had read ahead when the state was saved."""
 
     def make() -> StatefulDataLoader[Any]:
-        data = fresh(dataset)
+        data = fresh(either)
         torch.manual_seed(7)
         options: dict[str, Any] = {"shuffle": order != "in order"}
         if order in ("EpochSampler", "persistent"):
@@ -196,13 +204,13 @@ def test_a_state_of_another_order_is_refused_within_an_epoch(dataset: Path) -> N
 
 
 @pytest.mark.parametrize(("before", "after", "done"), [(1, 2, 4), (1, 3, 6), (2, 1, 3), (2, 3, 3), (3, 2, 2)])
-def test_an_epoch_goes_on_in_another_number_of_processes(dataset: Path, before: int, after: int, done: int) -> None:
+def test_an_epoch_goes_on_in_another_number_of_processes(either: Path, before: int, after: int, done: int) -> None:
     """No scene comes twice, and the noise is that of the epoch."""
 
     def run(ranks: int, most: int, state: Any = None) -> tuple[list[tuple[int, bytes]], list[Any]]:
         found, states = [], []
         for rank in range(ranks):
-            data = fresh(dataset)
+            data = fresh(either)
             order = dg.EpochSampler(data, rank=rank, ranks=ranks)
             if state:
                 order.load_state_dict(state)

@@ -12,7 +12,16 @@ from typing import Any
 
 import pytest
 from damage import reseal, told
-from fake_samples import build_fakes, changed_at_5, deaf_at_5, fails_at_5, fake_sample, hangs_at_5, small_config
+from fake_samples import (
+    EITHER,
+    build_fakes,
+    changed_at_5,
+    deaf_at_5,
+    fails_at_5,
+    fake_sample,
+    hangs_at_5,
+    small_config,
+)
 from here_and_now import one_worker_here
 
 from datagen.building import build
@@ -66,13 +75,15 @@ HARMS: dict[str, Callable[[dict[str, Any]], object]] = {
 }
 
 
+@EITHER
 @one_worker_here()
 def test_what_verify_reports_is_repaired_by_the_next_build(pristine: Path, dataset: Path) -> None:
+    config = read_manifest(dataset).parsed_config()
     for name, harm in HARMS.items():
         reseal(dataset / "dataset.json", harm)
         problems = told(lambda: verify(dataset).problems)
         assert problems is None or problems, name
-        assert again(dataset).built == 0 and verify(dataset, deep=True).problems == ()
+        assert again(dataset, config).built == 0 and verify(dataset, deep=True).problems == ()
         for file in ("dataset.json", "README.md", "samples.parquet", "croissant.json"):
             assert (dataset / file).read_bytes() == (pristine / file).read_bytes(), (name, file)
 
@@ -183,18 +194,19 @@ def test_a_bad_sample_costs_only_its_scene(tmp_path: Path) -> None:
         assert len(verify(tmp_path / why, deep=True).problems) == 1
 
 
+@EITHER
 @one_worker_here()
 def test_only_scenes_that_failed_are_tried_anew(pristine: Path, tmp_path: Path) -> None:
-    root, tried = tmp_path / "set", list[int]()
+    root, tried, config = tmp_path / "set", list[int](), read_manifest(pristine).parsed_config()
     with pytest.raises(CheckError, match=r"1 of 12 scenes.*scene 5: ValueError: no room for the box"):
-        again(root, sample_function=fails_at_5)
+        again(root, config, sample_function=fails_at_5)
     assert "no room for the box" in (root / "README.md").read_text()
     record = (root / "build/shard-000001.json").read_bytes()
     with pytest.raises(CheckError, match="scene 5"):
-        again(root, sample_function=counting(tried, fails_at_5))
+        again(root, config, sample_function=counting(tried, fails_at_5))
     # A second chance within one build, and nothing written where it did not help.
     assert tried == [5, 5] and (root / "build/shard-000001.json").read_bytes() == record
-    assert again(root, sample_function=counting(tried, fake_sample)).built == 1 and tried == [5, 5, 5]
+    assert again(root, config, sample_function=counting(tried, fake_sample)).built == 1 and tried == [5, 5, 5]
     assert verify(root, deep=True).problems == () and dataset_digest(root) == dataset_digest(pristine)
     for path in (pristine / "data.zarr").rglob("*"):
         assert path.is_dir() or path.read_bytes() == (root / path.relative_to(pristine)).read_bytes()
@@ -225,11 +237,13 @@ def test_one_digest_for_any_way_of_building(pristine: Path, dataset: Path, tmp_p
         dataset_digest(dataset)
 
 
+@EITHER
 @one_worker_here()
 def test_damage_is_repaired_in_the_shards_that_are_asked_for(dataset: Path) -> None:
     """The files of other shards are not read: a job of an array need not hash what hundreds of others have made."""
     record = committed(dataset, read_manifest(dataset), [1])[0]
     file = dataset / next(iter(record.files))
     file.write_bytes(bytes([file.read_bytes()[0] ^ 1]) + file.read_bytes()[1:])
-    assert again(dataset, shards="0").built == 0 and verify(dataset, deep=True).problems
-    assert again(dataset, shards="0-1").built == 1 and not verify(dataset, deep=True).problems
+    config = read_manifest(dataset).parsed_config()
+    assert again(dataset, config, shards="0").built == 0 and verify(dataset, deep=True).problems
+    assert again(dataset, config, shards="0-1").built == 1 and not verify(dataset, deep=True).problems

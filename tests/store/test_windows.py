@@ -78,6 +78,14 @@ def test_items_are_windows_of_scenes(
         assert int(batch["frame"][row]) == first
 
 
+def test_a_dataset_of_windows_says_so(dataset: Path) -> None:
+    data = dg.TransientDataset(dataset, ("depth",), split="val", frames=3, frame_step=1)
+    windows, scenes = len(data), len({*data.scenes.tolist()})
+    assert windows == 6 * scenes
+    said = f"{windows} windows of 3 frames, in {scenes} scenes of split 'val'; depth (3, 4, 5)"
+    assert repr(data) == f"TransientDataset('{dataset}': {said})"
+
+
 def test_without_windows_items_are_whole_sequences(dataset: Path, stored: dict[str, np.ndarray]) -> None:
     data = dg.TransientDataset(dataset, FIELDS, counts="stored")
     assert len(data) == SCENES and "frame" not in data[0]
