@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -160,7 +160,7 @@ class Setup:
     caster : of the scene's triangles.
     seconds : wall-clock seconds by stage; every stage adds its own.
     times : of the frames of a sequence; None of a scene that is measured once.
-    captures : one for each frame, of a sensor that moves; None of one that stands.
+    captures : one for each frame, of a dataset whose sensors move; None of one whose sensors stand.
     motion : what was drawn for the way of such a sensor.
     """
 
@@ -180,12 +180,13 @@ class Setup:
     def of(
         cls, config: DatasetConfig, index: int, scene: Scene, capture: Capture,
         seconds: dict[str, float] | None = None, clock: Clock | None = None,
+        captures: Sequence[Capture] | None = None,
     ) -> Setup:  # fmt: skip
         """The setup of scene `index`, with the configured detector.
 
-        seconds : those of earlier stages. clock : of a sequence; left out: as configured.
-
         capture : of a sensor that moves, as it stands.
+        seconds : those of earlier stages. clock : of a sequence; left out: as configured.
+        captures : one for each frame, where these are given; left out: the sensor moves as configured.
 
         Raises `InputError` as `FrameTimes.of` and `sensor_way` do.
         """
@@ -198,12 +199,14 @@ class Setup:
             return cls(config, index, apart.scene, capture, apart.caster, spad, exposure, seconds)
         times = FrameTimes.of(clock, capture, spad, exposure)
         setup = cls(config, index, scene, capture, apart.caster, spad, exposure, seconds, times)
-        with _timed(seconds, "scene"):
-            way = sensor_way(config, scene, capture, index, clock)
-        if way is None:
-            return setup
-        captures = way.captures(capture, times.middles)
-        return replace(setup, capture=captures[len(captures) // 2], captures=captures, motion=way.parameters)
+        drawn: Mapping[str, Scalar] = {"kind": "given"}
+        if captures is None:
+            with _timed(seconds, "scene"):
+                way = sensor_way(config, scene, capture, index, clock)
+            if way is None:
+                return setup
+            captures, drawn = way.captures(capture, times.middles), way.parameters
+        return replace(setup, capture=captures[len(captures) // 2], captures=tuple(captures), motion=drawn)
 
     def at(self, frame: int) -> Setup:
         """The setup of a frame of a sequence, as everything stands in the middle of that."""
@@ -212,6 +215,11 @@ class Setup:
         with _timed(self.seconds, "effects"):
             apart = set_apart(self.scene.at(float(self.times.middles[frame])), capture)
         return replace(self, scene=apart.scene, capture=capture, caster=apart.caster, times=None, captures=None)
+
+    @property
+    def sensor_moves(self) -> bool:
+        """Whether captures of two frames differ."""
+        return self.captures is not None and any(one is not self.captures[0] for one in self.captures)
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -320,9 +328,9 @@ def simulated_frames(setup: Setup) -> LightOfFrames:
             empty = lit.scene.at(0.0)
             each = [
                 replace(lit, scene=set_apart(empty, one).scene, capture=one).background().total
-                for one in setup.captures or (capture,)
+                for one in (setup.captures if setup.captures and setup.sensor_moves else (capture,))
             ]
-            background = each[0] if setup.captures is None else np.array(each)
+            background = np.array(each) if setup.sensor_moves else each[0]
     return LightOfFrames(light, lit, effects, background)
 
 
@@ -475,7 +483,7 @@ def labels_of_frames(
         name: float(np.median([float(of[name]) for of in evidence])) for name in evidence[0]
     }
     with _timed(setup.seconds, "evidence"):
-        changes = changes_of(scene, frames, counts.spad, counts.exposure, setup.captures is not None)
+        changes = changes_of(scene, frames, counts.spad, counts.exposure, setup.sensor_moves)
     if "objects" in setup.fields:
         rows = setup.config.scene.most_objects()
         arrays |= change_tables(changes, rows, frames.frames)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,13 @@ from datagen.records import Capture, Clock, Sample, Scene, Transient
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_names, check_kind, check_seed
 from datagen.transport.lines_of_sight import lit_points
+from datagen.transport.sequences import captures_of
 
 
 def build_from(
-    scenes: Iterable[Scene | tuple[Scene, Capture] | tuple[Scene, Capture, ArrayLike | Clock]],
+    scenes: Iterable[
+        Scene | tuple[Scene, Capture] | tuple[Scene, Capture | Sequence[Capture], ArrayLike | Clock]
+    ],
     path: str | Path, capture: Capture | Callable[[Scene], Capture] | None = None, *,
     fields: tuple[str, ...] | None = None, seed: int = 0, settings: Mapping[str, Any] | None = None, workers: int = 1,
     progress: bool = True,
@@ -40,7 +43,9 @@ def build_from(
         with a transient (L, P, T) of another simulator, in expected photons at the aperture per emitted photon.
         Counts and labels are then made for this transient; laser points and what pixels look at are where rays meet
         the scene, as always. Or (`Scene`, `Capture`, `Clock`), a sequence of frames in which parts move along their
-        paths; all of a dataset have the same clock.
+        paths; all of a dataset have the same clock. Or (`Scene`, [`Capture`, …], `Clock`) with one capture for each
+        frame, of a sensor that moves: arrays that say where laser and sensor are then have an axis of frames, also in
+        scenes whose sensor stands.
     path : the folder of the dataset; the same call again resumes a build.
     capture : the capture of all scenes without one of their own, or a function of the scene that returns it. All
         captures of a dataset have one shape, one time axis and one pairing.
@@ -52,8 +57,8 @@ def build_from(
 
     Raises
     ------
-    InputError : no scenes, captures that differ in shape or times, parts that move without a clock, clocks that
-        differ, invalid settings, another dataset at `path`.
+    InputError : no scenes, captures that differ in shape or times, captures of another number than there are frames,
+        parts that move without a clock, clocks that differ, invalid settings, another dataset at `path`.
     CheckError : scenes failed (all others are there), or the disk refused.
 
     The dataset is read, verified and exported like any other; `show` and `preview` draw what is stored. Commands that
@@ -101,27 +106,35 @@ def build_from(
 
 @dataclass(frozen=True)
 class Given:
-    """The input of one sample: a scene, its capture, its transient if another simulator made it (else None), and the
-    clock of a sequence (else None)."""
+    """The input of one sample: a scene, its capture, its transient if another simulator made it (else None), the
+    clock of a sequence (else None), and the captures of its frames if there is one for each (else None): `capture` is
+    the first of them."""
 
     scene: Scene
     capture: Capture
     transient: Floats | None
     clock: Clock | None = None
+    captures: tuple[Capture, ...] | None = None
 
     @property
     def digest(self) -> str:
-        """Hex SHA-256 of scene, capture, transient and clock."""
+        """Hex SHA-256 of scene, captures, transient and clock."""
         s, c = self.scene, self.capture
         values = (s.part_names, s.materials, s.roles, dict(s.parameters), s.attenuation_per_m, c.time, c.pairing)
         poses = [(name, pose.label, pose.axes.tolist()) for name, pose in sorted(s.poses.items())]
         faces = s.relay_wall, s.hidden_view
         views = [face and [v.tolist() for v in (face.center, face.right, face.up)] for face in faces]
-        sight = c.illumination, c.sensor.aperture_radius_m, c.sensor.finite_aperture, c.sensor.crosstalk
-        hashed = hashlib.sha256(repr((values, poses, views, sight)).encode())
+        sights = [
+            (one.illumination, one.sensor.aperture_radius_m, one.sensor.finite_aperture, one.sensor.crosstalk)
+            for one in self.captures or (c,)
+        ]
+        hashed = hashlib.sha256(repr((values, poses, views, *sights)).encode())
         arrays: list[NDArray[Any] | None] = [s.vertices, s.triangles, s.face_part, s.hidden_bounds, self.transient]
-        arrays += [c.laser.position, c.laser.targets, c.laser.weights, c.laser.cells]
-        arrays += [c.sensor.position, c.sensor.pixels, c.sensor.footprints, c.sensor.glass, c.sensor.delays_s]
+        # With one capture for all frames the digest is that of the capture of a scene which stands.
+        for one in self.captures or (c,):
+            arrays += [one.laser.position, one.laser.targets, one.laser.weights, one.laser.cells]
+            eye = one.sensor
+            arrays += [eye.position, eye.pixels, eye.footprints, eye.glass, eye.delays_s]
         # Without paths the digest is that of scenes which stand.
         arrays += [array for _, p in sorted(s.paths.items()) for array in (p.times_s, p.places, p.headings_deg)]
         for array in arrays:
@@ -140,7 +153,10 @@ class GivenSamples:
     def __call__(self, config: DatasetConfig, index: int) -> Sample:
         """Sample number `index`."""
         item: Given = pickle.loads((Path(self.folder) / str(index)).read_bytes())
-        setup = Setup.of(config, index, _with_digest(item), item.capture, clock=item.clock)
+        captures = None
+        if config.capture.motion is not None and item.clock is not None:
+            captures = item.captures or captures_of(item.capture, item.clock.frames)
+        setup = Setup.of(config, index, _with_digest(item), item.capture, clock=item.clock, captures=captures)
         if item.transient is None:
             return sample_of_setup(setup)
         return sample_from(setup, _imported_light(setup, item.transient))
@@ -168,6 +184,14 @@ def _given(number: int, item: object, capture: Capture | Callable[[Scene], Captu
     if clock is not None and clock.frames < 2:
         raise InputError(f"scenes[{number}]: a clock of 1 frame; give the scene at a time, scene.at(time_s)")
     found = own if own is not None else capture(scene) if callable(capture) else capture
+    if isinstance(found, Sequence) and clock is not None:
+        captures = tuple(captures_of(found, clock.frames, f"scenes[{number}]: capture"))
+        return Given(scene, captures[0], None, clock, captures)
+    if isinstance(found, Sequence) and found and isinstance(found[0], Capture):
+        raise InputError(
+            f"scenes[{number}]: {len(found)} captures without a clock; one for each frame of a sequence is given as "
+            "(Scene, [Capture, …], Clock)"
+        )
     if not isinstance(found, Capture):
         raise InputError(
             f"scenes[{number}]: its capture = {shown(found)}: a Capture is needed; give (Scene, Capture), "
@@ -235,6 +259,8 @@ def _config(given: list[Given], fields: tuple[str, ...] | None, seed: int, setti
         capture["field_of_view"] |= {"rows": 1, "columns": pixels}
     store = settings.pop("store", {}) | {"fields": list(fields)}
     described = {"seed": seed, "scenes": len(given), "scene": {"layout": layout, "contents": []}, "store": store}
+    if any(item.captures for item in given):
+        capture["motion"] = {"kind": "given"}
     if (clock := given[0].clock) is not None:
         described["sequence"] = {"frames": clock.frames, "rate_hz": clock.rate_hz, "order": clock.order}
     return config_from_mapping(settings | described | {"capture": capture}, source="settings")

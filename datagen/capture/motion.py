@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from datagen.capture.devices import has_elbow_room
 from datagen.capture.in_sight import in_plain_sight
 from datagen.config import DatasetConfig
-from datagen.config.capture_motion import Drive, Hand, SensorMotion, SensorPoint, SensorPoints
+from datagen.config.capture_motion import DrawnMotion, Drive, GivenPlaces, Hand, SensorPoint, SensorPoints
 from datagen.config.distributions import Distribution, draw
 from datagen.errors import InputError
 from datagen.records import Capture, Clock, Path, Rectangle, Scalar, Scene
@@ -74,7 +74,8 @@ def moved(capture: Capture, shift_m: Floats, turn_rad: Floats) -> Capture:
 def sensor_way(
     config: DatasetConfig, scene: Scene, capture: Capture, index: int, clock: Clock | None = None
 ) -> SensorWay | None:
-    """The way of the sensor of scene `index`, as `capture.motion` asks for; None if it stands.
+    """The way of the sensor of scene `index`, as `capture.motion` asks for; None if it stands, or if its captures are
+    given.
 
     The sensor stays in the room, `ELBOW_ROOM_M` from everything; objects that are hidden from where it begins stay
     hidden; a scan that is not a device's own stays on the relay wall. Ways are drawn anew until one keeps to that.
@@ -86,7 +87,7 @@ def sensor_way(
     InputError : none of `TRIES` ways keeps to that; the scene names no relay wall.
     """
     motion, clock = config.capture.motion, config.clock if clock is None else clock
-    if motion is None or clock is None:
+    if motion is None or clock is None or isinstance(motion, GivenPlaces):
         return None
     if scene.relay_wall is None:
         raise InputError("capture.motion: this scene names no relay wall, which places and bearings count from")
@@ -114,7 +115,7 @@ _REMEDIES = {
 
 
 def _ways(
-    motion: SensorMotion, scene: Scene, wall: Rectangle, capture: Capture, rng: np.random.Generator
+    motion: DrawnMotion, scene: Scene, wall: Rectangle, capture: Capture, rng: np.random.Generator
 ) -> Iterator[SensorWay]:
     """The ways to be tried, `TRIES` of them, or one where nothing of it is drawn. How far and how fast the sensor
     moves is drawn once, so that those of which fewer are free are not rarer than declared."""
@@ -217,7 +218,7 @@ class _Laws:
 
     scene: Scene
     standing: Capture
-    motion: SensorMotion
+    motion: DrawnMotion
     clock: Clock
     stays_on_wall: bool
 

@@ -57,4 +57,14 @@ class SensorPoints(Settings):
         check_times(self.points)
 
 
-SensorMotion = Annotated[Hand | Drive | SensorPoints, Field(discriminator="kind")]
+class GivenPlaces(Settings):
+    """Captures that were made in Python, one for each frame. Written by `build_from`; no dataset can be built with
+    it."""
+
+    is_offered = False
+
+    kind: Literal["given"] = "given"
+
+
+DrawnMotion = Hand | Drive | SensorPoints
+SensorMotion = Annotated[DrawnMotion | GivenPlaces, Field(discriminator="kind")]

@@ -13,13 +13,14 @@ from pydantic import Field, SerializerFunctionWrapHandler, field_validator, mode
 
 from datagen.config.base import Settings, from_plain, without_unset
 from datagen.config.capture import CaptureConfig, TimeConfig
+from datagen.config.capture_motion import GivenPlaces
 from datagen.config.detector import USUAL_REPETITION_RATE_HZ, DetectorConfig
 from datagen.config.distributions import support
 from datagen.config.effects import EffectsConfig
 from datagen.config.labels import LabelsConfig
 from datagen.config.scans import GridScan
 from datagen.config.scene import SceneConfig
-from datagen.config.scene_layouts import NoLayout
+from datagen.config.scene_layouts import GivenScenes, NoLayout
 from datagen.config.sequence import SequenceConfig
 from datagen.config.splits import SplitsConfig
 from datagen.config.store import StoreConfig
@@ -159,7 +160,13 @@ class DatasetConfig(Settings):
                 "capture.motion without sequence, which says how many frames there are and when: give sequence, such "
                 "as {frames: 16, rate_hz: 10}, or leave motion out"
             )
-        if isinstance(self.scene.layout, NoLayout):
+        is_given = isinstance(self.capture.motion, GivenPlaces)
+        if is_given and not isinstance(self.scene.layout, GivenScenes):
+            raise ValueError(
+                "capture.motion.kind = 'given': build_from writes it, for captures made in Python; take hand, drive "
+                "or points"
+            )
+        if isinstance(self.scene.layout, NoLayout) and not is_given:
             raise ValueError(
                 f"capture.motion with scene.layout.kind = {self.scene.layout.kind!r}: captures of such scenes are "
                 "given, not drawn; leave motion out"

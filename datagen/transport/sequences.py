@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock_time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 from warnings import warn
@@ -74,7 +74,7 @@ def simulate_sequence(
     """
     check_kind("scene", scene, Scene)
     check_kind("clock", clock, Clock)
-    captures = _captures(capture, clock.frames)
+    captures = captures_of(capture, clock.frames)
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
@@ -84,22 +84,37 @@ def simulate_sequence(
     return light_of_sequence(scene, captures, times, accuracy, seed)
 
 
-def _captures(capture: Capture | Sequence[Capture], frames: int) -> list[Capture]:
-    """A capture for each frame; raises `InputError` for others."""
+def captures_of(capture: Capture | Sequence[Capture], frames: int, called: str = "capture") -> list[Capture]:
+    """A capture for each frame, from one for all or one for each.
+
+    Raises `InputError`, which calls them `called`, for anything else, for another number of them, and where two
+    differ in shape, bins, or number of laser points.
+    """
     if isinstance(capture, Capture):
         return [capture] * frames
-    check_kind("capture", capture, Capture, Sequence, remedy="or one for each frame")
+    check_kind(called, capture, Capture, Sequence, remedy="or one for each frame")
     for number, one in enumerate(capture):
-        check_kind(f"capture[{number}]", one, Capture)
-        for name in ("shape", "time", "pairing", "illumination"):
-            if getattr(one, name) != getattr(capture[0], name):
+        check_kind(f"{called}[{number}]", one, Capture)
+        for name, of in _ALIKE.items():
+            if of(one) != of(capture[0]):
                 raise InputError(
-                    f"capture[{number}].{name} = {shown(getattr(one, name))}: that of capture[0] is "
-                    f"{shown(getattr(capture[0], name))}; all frames must be measured alike"
+                    f"{called}[{number}].{name} = {shown(of(one))}: that of {called}[0] is {shown(of(capture[0]))}; "
+                    "all frames must be measured alike"
                 )
     if len(capture) != frames:
-        raise InputError(f"capture: {len(capture)} given for {frames} frames; give one, or one for each frame")
+        raise InputError(f"{called}: {len(capture)} given for {frames} frames; give one, or one for each frame")
     return list(capture)
+
+
+_ALIKE: dict[str, Callable[[Capture], object]] = {
+    "shape": lambda capture: capture.shape,
+    "time": lambda capture: capture.time,
+    "pairing": lambda capture: capture.pairing,
+    "illumination": lambda capture: capture.illumination,
+    # All points of a flood are one in its shape.
+    "laser.targets": lambda capture: len(capture.laser.targets),
+}
+"""What the captures of all frames have in common, by name."""
 
 
 def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> Floats:

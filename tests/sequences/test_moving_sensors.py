@@ -22,7 +22,7 @@ from datagen.records.sample import OF_THE_DEVICE
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene
 from datagen.report.replay import replay as shown_again
-from datagen.store import schema_of
+from datagen.store import schema_of, verify
 from scene_library.sightlines import first_faces
 
 FRAMES = 3
@@ -299,3 +299,63 @@ def test_a_dataset_of_a_moving_sensor_opens_everywhere(tmp_path: Path) -> None:
     assert preview(path, tmp_path / "page.html", 1).exists()
     opened = pytest.importorskip("xarray").open_zarr(path / "data.zarr", chunks=None)
     np.testing.assert_array_equal(opened["laser_points"][1], sample.arrays["laser_points"])
+
+
+def given(config: DatasetConfig, path: Path, scenes: list[Any]) -> Path:
+    """A dataset of scenes that are given, with the sections of a configuration."""
+    plain = config.model_dump(mode="json")
+    settings = {name: plain[name] for name in ("transport", "detector", "labels")}
+    fields = tuple(config.store.fields)
+    dg.build_from(scenes, path, fields=fields, seed=config.seed, settings=settings, progress=False)
+    return path
+
+
+def test_captures_given_for_each_frame_are_as_those_of_a_sensor_that_is_drawn(tmp_path: Path) -> None:
+    """Also beside one for all frames, whose light is then what it is alone."""
+    config, still = config_of(HAND, scene={"contents": [BOX]}), config_of(None, scene={"contents": [BOX]})
+    setups, clock = [setup_of(config, index) for index in (0, 1)], config.clock
+    stands = setup_of(still, 1)
+    scenes = [(one.scene, one.captures, clock) for one in setups]
+    path = given(config, tmp_path / "moving", [*scenes[:1], (stands.scene, stands.capture, clock)])
+    data = dg.TransientDataset(path, tuple(schema_of(config).by_name), counts="stored")
+    for index, due in ((0, simulate_sample(config, 0).arrays), (1, simulate_sample(still, 1).arrays)):
+        item = data[index]
+        assert {*item} == {*due, "scene"}
+        for name, values in due.items():
+            found, of = item[name].numpy(), data.shape(name)
+            assert found.shape == of, name
+            np.testing.assert_array_equal(found, np.broadcast_to(values.astype(found.dtype), of), name)
+    assert not np.array_equal(data[0]["laser_points"][0], data[0]["laser_points"][1])
+    assert data.parameters("capture.motion.kind").tolist() == ["given", "given"]
+    assert verify(path, deep=True).problems == () and preview(path, tmp_path / "page.html", 0).exists()
+    with pytest.raises(InputError, match=r"scene\.layout\.digest"):
+        given(config, path, [scenes[1], (stands.scene, stands.capture, clock)])
+
+
+def test_wrong_captures_of_frames_are_one_line(tmp_path: Path) -> None:
+    setup = setup_of(config_of(HAND))
+    scene, clock, captures = setup.scene, config_of(HAND).clock, setup.captures
+    assert captures is not None
+    one = captures[0]
+    bins = replace(one, time=replace(one.time, bins=64))
+    fewer = one.excerpt(np.arange(3))
+    flood = setup_of(config_of(HAND, capture=ZONES)).captures
+    assert flood is not None
+    lit = [*flood[:2], replace(flood[2], laser=flood[2].laser.take(np.arange(3)))]
+    for given_captures, words in (
+        (captures[:2], r"^scenes\[0\]: capture: 2 given for 3 frames; give one, or one for each frame"),
+        ([], r"^scenes\[0\]: capture: 0 given for 3 frames"),
+        ([one, one, bins], r"^scenes\[0\]: capture\[2\].shape = \(4, 1, 64\): that of .*\[0\] is \(4, 1, 128\)"),
+        ([one, fewer, one], r"^scenes\[0\]: capture\[1\].shape = \(3, 1, 128\)"),
+        ([one, replace(one, time=replace(one.time, start_s=1e-9)), one], r"^scenes\[0\]: capture\[1\].time = "),
+        (lit, r"^scenes\[0\]: capture\[2\].laser.targets = 3: that of .* is 4"),
+        ([one, None, one], r"^scenes\[0\]: capture\[1\] = None"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=words) as caught:
+            dg.build_from([(scene, given_captures, clock)], tmp_path / "no", progress=False)  # type: ignore[list-item]
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match=r"^scenes\[0\]: 3 captures without a clock"):
+        dg.build_from([(scene, captures)], tmp_path / "no", progress=False)  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"capture.motion.kind = 'given': build_from writes it"):
+        config_of({"kind": "given"})
+    assert not (tmp_path / "no").exists()
