@@ -28,8 +28,8 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.errors import InputError
-from datagen.formats.layouts import read_mat
-from datagen.formats.tal import read_tal
+from datagen.formats.layouts import read_capture
+from datagen.formats.recording import Stated
 from datagen.untrusted import read_npy, read_npz
 
 pytestmark = [
@@ -362,7 +362,7 @@ def test_reading_takes_twice_what_a_capture_of_that_shape_needs(
         if path.suffix in (".json", ".npz"):
             dg.read_frames(path)
         else:
-            (read_mat if path.suffix == ".mat" else read_tal)(path, options)
+            read_capture(path, "mat" if path.suffix == ".mat" else "tal", Stated(options))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

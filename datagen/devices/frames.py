@@ -96,9 +96,10 @@ def read_frames(path: str | Path) -> Frames:
 
     path : JSON (also .gz), a list of frames with `hists` (zones, bins) and, in all frames or none, `pose` (4, 4),
         `dist_to_plane` (metres), `reference_hist` (bins), `ambient` (zones,) and `zone_order`; .npz with `hists` (n,
-        zones, bins) and the same optional names for all frames; or .npy with the histograms alone. `ambient` is what
-        a sensor subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole
-        count where `hists` is whole. `zone_order` says how the zones are listed (docs/devices.md).
+        zones, bins) and the same optional names for all frames; or .npy with the histograms alone. Histograms (n,
+        rows, columns, bins), as DENALI has them, are of zones in rows from the top left. `ambient` is what a sensor
+        subtracted from each bin of a zone, in the unit of `hists`; it is added back, to the nearest whole count
+        where `hists` is whole. `zone_order` says how the zones are listed (docs/devices.md).
 
     Raises `InputError` for a file that is missing or damaged, and for histograms that are ragged, negative or not
     finite.
@@ -113,6 +114,9 @@ def read_frames(path: str | Path) -> Frames:
         found = _json(path) if ".json" in path.suffixes else _numpy(path)
     ambient = found.pop("ambient", None)
     counts = found["histograms"]
+    if counts.ndim == 4:
+        counts = found["histograms"] = counts.reshape(len(counts), -1, counts.shape[3])
+        found.setdefault("zone_order", "rows from top left")
     if counts.ndim != 3 or not counts.size or not np.isfinite(counts).all():
         raise InputError(f"{path}: hists of shape {counts.shape}; finite counts ≥ 0 (frames, zones, bins) are needed")
     if ambient is not None:

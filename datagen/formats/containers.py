@@ -1,4 +1,5 @@
-"""Arrays from untrusted HDF5 and MATLAB files: no code is run, no link is followed, all sizes are checked."""
+"""Arrays from untrusted files of HDF5, MATLAB and NumPy: no code is run, no link is followed, all sizes are
+checked."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from datagen.errors import InputError, TooLargeError, printable
 from datagen.formats.matlab5 import read_matlab5
 from datagen.records.arrays import Floats
-from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, one_line, opened
+from datagen.untrusted import CAPTURE_BYTES, DEFLATE_REACHES, check_expansion, one_line, opened, read_npy, read_npz
 
 LARGEST_BYTES = 2**33
 """Largest size of a variable in memory."""
@@ -26,6 +27,8 @@ POINTS = 3 * 2**22
 """Most numbers of a variable of points or normals: three for each of as many points as a scan may have."""
 VALUES = LARGEST_BYTES
 """Most numbers of a variable of counts or light."""
+ALONE = "array"
+"""What the array of an `.npy` file is called, which has no name."""
 LONGEST_TEXT = 2**20
 FACING = np.array([0.0, 0.0, 1.0])
 """Normal of a relay wall in the plane of x and y."""
@@ -42,18 +45,29 @@ def h5py() -> Any:
 class Content:
     """Variables of a file.
 
-    arrays, texts : name → value of the requested variables that are numbers, or text. names : those of all variables.
+    arrays, texts : name → value of the requested variables that are numbers, or text. shapes : name → shape of every
+        variable; None where it has none (a structure, a group), or only reading it would tell it.
     """
 
     path: Path
     arrays: Mapping[str, NDArray[Any]]
     texts: Mapping[str, str]
-    names: tuple[str, ...]
+    shapes: Mapping[str, tuple[int, ...] | None]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all variables."""
+        return tuple(self.shapes)
 
     @property
     def listed(self) -> str:
-        """The names of the variables, as text that is safe to print."""
-        return ", ".join(" ".join(printable(name[:40]).split()) for name in self.names[:12]) or "nothing"
+        """The variables with their shapes, as text that is safe to print."""
+        some = (
+            " ".join(printable(name[:40]).split()) + ("" if shape is None else f" {shape}")
+            for name, shape in list(self.shapes.items())[:8]
+        )
+        more = ", …" if len(self.shapes) > 8 else ""
+        return (", ".join(some) or "nothing") + more
 
     def array(self, name: str) -> NDArray[Any]:
         """A variable; raises `InputError` where it is missing."""
@@ -122,8 +136,9 @@ def hdf5_content(path: Path, wanted: Mapping[str, int], matlab: bool = False) ->
     with one_line(f"{path}: cannot be read as {kind}"), h5py().File(path, "r") as file:
         # h5py returns a name that is not UTF-8 as bytes.
         names = tuple(name.decode("utf-8", "replace") if isinstance(name, bytes) else name for name in file)
+        shapes = {name: _hdf5_shape(file, name, matlab) for name in names}
         numbers = dict[str, Any]()
-        for name in (name for name in wanted if name in names):
+        for name in (name for name in wanted if _is_there(file, name, names)):
             data = _hdf5_data(path, file, name)
             if isinstance(data, str):
                 texts[name] = data
@@ -133,7 +148,25 @@ def hdf5_content(path: Path, wanted: Mapping[str, int], matlab: bool = False) ->
         for name, data in numbers.items():
             found = np.zeros(0) if data.attrs.get("MATLAB_empty") else np.asarray(data[()])
             arrays[name] = found.T if matlab else found
-    return Content(path, arrays, texts, names)
+    return Content(path, arrays, texts, shapes)
+
+
+def _hdf5_shape(file: Any, name: str, matlab: bool) -> tuple[int, ...] | None:
+    """Shape of a variable that lies in the file itself; None for a group, a link and an empty dataset."""
+    lib = h5py()
+    if not isinstance(file.get(name, getlink=True), lib.HardLink) or not isinstance(file[name], lib.Dataset):
+        return None
+    shape = file[name].shape
+    return None if shape is None else tuple(map(int, shape[::-1] if matlab else shape))
+
+
+def _is_there(file: Any, name: str, names: tuple[str, ...]) -> bool:
+    """Whether a file has a variable, or, of `structure.field`, a group with this field."""
+    group, _, field = name.partition(".")
+    if not field:
+        return name in names
+    is_own = group in names and isinstance(file.get(group, getlink=True), h5py().HardLink)
+    return is_own and isinstance(file[group], h5py().Group) and field in file[group]
 
 
 def _check_hdf5_sizes(path: Path, numbers: Mapping[str, Any], wanted: Mapping[str, int]) -> None:
@@ -161,10 +194,10 @@ def _check_hdf5_sizes(path: Path, numbers: Mapping[str, Any], wanted: Mapping[st
 def _hdf5_data(path: Path, file: Any, name: str) -> Any | str | None:
     """A variable of an open file: a dataset of h5py that holds numbers, or text; None if it is empty. Raises as
     `hdf5_content` does."""
-    lib = h5py()
-    if not isinstance(file.get(name, getlink=True), lib.HardLink):
+    lib, at = h5py(), name.replace(".", "/")
+    if not isinstance(file.get(at, getlink=True), lib.HardLink):
         raise InputError(f"{path}: {name}: is a link to somewhere else; copy what it stands for into the file")
-    data = file[name]
+    data = file[at]
     if not isinstance(data, lib.Dataset):
         raise InputError(f"{path}: {name}: is a group, an array is needed")
     if data.shape is None:
@@ -191,5 +224,22 @@ def matlab_content(path: Path, wanted: Mapping[str, int]) -> Content:
     if is_hdf5(path):
         return hdf5_content(path, wanted, matlab=True)
     with one_line(f"{path}: cannot be read as MATLAB"):
-        arrays, names = read_matlab5(path, {name: min(count, LARGEST_BYTES // 8) for name, count in wanted.items()})
-    return Content(path, arrays, {}, tuple(names))
+        arrays, shapes = read_matlab5(path, {name: min(count, LARGEST_BYTES // 8) for name, count in wanted.items()})
+    return Content(path, arrays, {}, shapes)
+
+
+def numpy_content(path: Path, wanted: Mapping[str, int]) -> Content:
+    """The arrays `wanted` of a file of NumPy; that of an `.npy` file, which has no name, is called `ALONE`. Takes and
+    raises what `hdf5_content` does."""
+    with one_line(f"{path}: cannot be read as NumPy"):
+        if path.suffix.lower() == ".npy":
+            arrays = {ALONE: read_npy(path)} if ALONE in wanted else {}
+            names = [ALONE]
+        else:
+            arrays, names = read_npz(path, wanted, CAPTURE_BYTES)
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiub":
+            raise InputError(f"{path}: {name}: holds {array.dtype}, real numbers are needed")
+        if array.size > wanted[name]:
+            raise InputError(f"{path}: {name}: shape {array.shape}; at most {wanted[name]} numbers are read")
+    return Content(path, arrays, {}, {name: arrays[name].shape if name in arrays else None for name in names})

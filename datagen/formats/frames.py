@@ -15,10 +15,11 @@ import numpy as np
 from datagen.capture.device_optics import capture_at
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.config.imported import ImportedFile, ImportOptions
-from datagen.devices import Frames, device, read_frames, recorded_by, without_reference
+from datagen.devices import Device, Frames, device, read_frames, recorded_by, without_reference
 from datagen.devices.frames import all_whole
 from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError
+from datagen.formats.denali import denali_labels, read_places
 from datagen.records import OnSurfaces, Sample, Scalar
 from datagen.records.checks import as_given
 from datagen.records.sample import geometry_fields
@@ -56,9 +57,11 @@ def dtype_of_counts(most: float) -> str | None:
 
 
 def config_of_frames(
-    paths: Sequence[Path], name: str | Path | None, settings: dict[str, Any], named: dict[str, Any]
-) -> DatasetConfig:
-    """The configuration of a dataset of frames: the files' digests, and the device that recorded them.
+    paths: Sequence[Path], name: str | Path | None, places: Path | None, settings: dict[str, Any],
+    named: dict[str, Any],
+) -> DatasetConfig:  # fmt: skip
+    """The configuration of a dataset of frames: the files' digests and labels, and the device that recorded them.
+    `places` is the file with the places of what is hidden, if there is one.
 
     Raises `InputError` where no device is named, and for frames that are damaged or have other zones or bins.
     """
@@ -70,8 +73,10 @@ def config_of_frames(
     # A scan has a histogram for each laser point.
     lasers, pixels, _ = sensor.at_pose(np.eye(4))[0].shape
     files, most, posed = list[ImportedFile](), 0.0, list[bool]()
+    known = None if places is None else read_places(places)
     for path in paths:
-        frames = recorded_by(path, read_frames(path), sensor, lasers * pixels)
+        read = read_frames(path)
+        frames = recorded_by(path, read, sensor, lasers * pixels)
         posed.append(frames.poses is not None)
         if posed[-1] != posed[0]:
             has, none = (paths[0], path) if posed[0] else (path, paths[0])
@@ -84,12 +89,28 @@ def config_of_frames(
                 "sensor divided by, such as the number of its SPADs in use, and round"
             )
         most = max(most, float(frames.histograms.max()))
-        files.append(ImportedFile(name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames)))
+        files.append(
+            ImportedFile(
+                name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames),
+                taken=_taken(read, sensor), labels=denali_labels(path, known),
+            )
+        )  # fmt: skip
     dtype = dtype_of_counts(most)
     if dtype is None:
         raise InputError(f"{paths[0]}: counts up to {most:g}, at most {LARGEST_COUNTS['uint32']} are stored")
     capture = {"device": json.loads(sensor.model_dump_json(exclude_defaults=True))}
     return imported_config(files, capture, {"fields": ["histogram"], "histogram_dtype": dtype}, settings, named)
+
+
+def _taken(frames: Frames, sensor: Device) -> str:
+    """What is taken for the axes, units, time zero and places of a file of frames, in one line."""
+    order = frames.zone_order if isinstance(frames.zone_order, str) else "listed by number"
+    order = "the order of the device" if frames.zone_order is None else order
+    places = "the sensor as its own frame" if frames.poses is None else "poses in m"
+    return (
+        f"frames of {sensor.name}; hists (frame, zone, bin); zones in {order}; bins of "
+        f"{sensor.time.bin_width_ps:g} ps of the device, counted from the laser; {places}"
+    )
 
 
 def scene_of_files(files: Sequence[ImportedFile], index: int) -> tuple[int, int]:
@@ -125,6 +146,7 @@ def sample_of_frame(config: DatasetConfig, index: int, path: Path, file: Importe
         "imported.sha256": file.sha256,
         "histogram.counts": int(counts.sum(dtype=np.int64)),
     }
+    parameters |= file.labels or {}
     if frames.distances_m is not None:
         parameters["capture.distance_m"] = float(frames.distances_m[frame])
     lit, seen = (OnSurfaces.unknown(len(of)) for of in (capture.laser.targets, capture.sensor.pixels))

@@ -11,7 +11,7 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ _PACKED_BYTES, _PIECE_BYTES = 2**16, 2**20
 """Bytes that are decompressed at once, before and after."""
 _INT8, _INT32, _UINT32, _MATRIX, _COMPRESSED = 1, 5, 6, 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_STRUCTURE = 2
 _NO_NUMBERS = {1: "cell array", 2: "structure", 3: "object", 4: "text", 5: "sparse array"}
 _NUMBERS = range(6, 16)
 _IS_COMPLEX = 0x0800
@@ -48,17 +49,26 @@ class Variable:
     at: int
     bytes: int
 
+    @property
+    def is_structure(self) -> bool:
+        """Whether it has fields, which are variables themselves."""
+        return self.kind == _STRUCTURE
 
-def read_matlab5(path: Path, wanted: Mapping[str, int]) -> tuple[Mapping[str, NDArray[Any]], list[str]]:
-    """Name → array of the wanted variables, axes in MATLAB's order, and the names of all variables.
 
-    wanted : name → the most numbers that a variable of this name has.
+def read_matlab5(
+    path: Path, wanted: Mapping[str, int]
+) -> tuple[Mapping[str, NDArray[Any]], dict[str, tuple[int, ...] | None]]:
+    """Name → array of the wanted variables, axes in MATLAB's order, and name → shape of all variables, None of
+    what holds no numbers.
+
+    wanted : name → the most numbers that a variable of this name has. `structure.field` names a field of a structure.
 
     The dtype is that of the file, which may store whole numbers in a narrower type than MATLAB has. Raises
     `InputError` or `ValueError` for wanted variables that are damaged, no array of real numbers, have more numbers
     than is wanted, or are together more than `check_expansion` lets pass; no value has been read then.
     """
-    arrays, names = dict[str, NDArray[Any]](), list[str]()
+    arrays, shapes = dict[str, NDArray[Any]](), dict[str, tuple[int, ...] | None]()
+    structures = {name.partition(".")[0] for name in wanted if "." in name}
     chosen, declared, stored = list[tuple[bool, int, int, Variable]](), 0, 0
     with opened(path) as (_, file), mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if content[124:128] != b"\x00\x01IM":
@@ -69,17 +79,56 @@ def read_matlab5(path: Path, wanted: Mapping[str, int]) -> tuple[Mapping[str, ND
                 continue
             head = content[begin : min(end, begin + _HEAD)]
             found = _variable(_unpacked(head, _HEAD)[8:] if compressed else memoryview(head))
-            names.append(found.name)
-            if found.name in wanted:
+            shapes[found.name] = found.shape if found.kind in _NUMBERS else None
+            if found.is_structure and found.name in structures:
+                # All of it is read, since where a field begins is told by those before it.
+                size = _size_of(head) if compressed else end - begin
+                found = replace(found, bytes=size)
+            elif found.name in wanted:
                 _check(path, found, wanted[found.name], end - begin)
-                chosen.append((compressed, begin, end, found))
-                declared, stored = declared + found.bytes, stored + end - begin
+            else:
+                continue
+            chosen.append((compressed, begin, end, found))
+            declared, stored = declared + found.bytes, stored + end - begin
         check_expansion(str(path), declared, stored, CAPTURE_BYTES)
         for compressed, begin, end, found in chosen:
             packed = content[begin:end]
             matrix = _unpacked(packed, 8 + _HEAD + found.bytes)[8:] if compressed else memoryview(packed)
-            arrays[found.name] = _numbers(matrix, found)
-    return arrays, names
+            if found.is_structure:
+                arrays |= _fields(path, matrix, found, wanted)
+            else:
+                arrays[found.name] = _numbers(matrix, found)
+    return arrays, shapes
+
+
+def _size_of(head: bytes) -> int:
+    """Bytes of the matrix in a compressed element that begins with `head`, as its tag states them."""
+    (size,) = struct.unpack("<I", zlib.decompressobj().decompress(head, 8)[4:8])
+    return int(size)
+
+
+def _fields(path: Path, matrix: memoryview, found: Variable, wanted: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+    """`structure.field` → array of the wanted fields of a structure. Raises as `read_matlab5`."""
+    if math.prod(found.shape) != 1:
+        raise InputError(f"{path}: {found.name}: shape {found.shape}; a single structure is read")
+    # Where the numbers of an array begin, a structure has the length of its names, and then the names.
+    kind, length, at = _element(matrix, found.at)
+    named, text, at = _element(matrix, at)
+    if (
+        (kind, named) != (_INT32, _INT8)
+        or len(length) != 4
+        or not 0 < (width := struct.unpack("<i", length)[0]) <= 64
+    ):
+        raise ValueError(f"{found.name} has no names of its fields")
+    arrays = dict[str, NDArray[Any]]()
+    for begin in range(0, len(text), width):
+        kind, content, at = _element(matrix, at)
+        name = f"{found.name}.{bytes(text[begin : begin + width]).split(bytes(1))[0].decode('latin-1')}"
+        if name in wanted and kind == _MATRIX and len(content):
+            field = _variable(content)
+            _check(path, replace(field, name=name), wanted[name], len(content))
+            arrays[name] = _numbers(content, replace(field, name=name))
+    return arrays
 
 
 def _elements(content: mmap.mmap) -> Iterator[tuple[int, int, int]]:

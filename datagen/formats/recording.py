@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,6 +21,7 @@ from datagen.records.arrays import Floats, Ints
 from datagen.records.checks import as_given
 from datagen.records.sample import geometry_fields
 from datagen.store.scenes import SceneContent
+from datagen.units import time_from_path
 
 UNKNOWN = np.full(3, np.nan)
 QUANTITIES = ("histogram", "transient", "background_histogram", "background_transient")
@@ -33,7 +34,6 @@ SAME = 1e-6
 """Relative difference up to which a value of a file and an option count as equal: a file may state six digits."""
 _SECONDS = {"fs": 1e-15, "ps": 1e-12, "ns": 1e-9, "us": 1e-6, "s": 1.0}
 _METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-_FLAGS = {"wall_m": "wall", "axes": "axes", "delays": "tof"}
 _NUMBER = r"(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
 
 
@@ -143,6 +143,69 @@ class Recording:
         return geometry_fields(
             lit, pixels, seen, self.laser_position, self.sensor_position, wall, hidden_bounds=self.hidden
         )
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What the options of an import state about a file.
+
+    options : as the dataset keeps them. delays, points : paths of the files with `tofgrid` and with the places of the
+        points, if they are files of their own.
+    """
+
+    options: ImportOptions = field(default_factory=ImportOptions)
+    delays: Path | None = None
+    points: Path | None = None
+
+    @property
+    def files(self) -> tuple[Path | None, Path | None]:
+        """The paths of the two files."""
+        return self.delays, self.points
+
+
+@dataclass(frozen=True)
+class Captured:
+    """What a layout takes from a file.
+
+    first : the recording; of a file of many frames the first one.
+    axes : words on the array and the order of its axes.
+    frames : (F, L, P, T) the values of all frames; None where the file has one recording.
+    notes : words on what else was taken, such as delays that were subtracted.
+    """
+
+    first: Recording
+    axes: str
+    frames: NDArray[Any] | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """All values of the file."""
+        return self.first.values if self.frames is None else self.frames
+
+    def frame(self, number: int) -> Recording:
+        """The recording of one frame."""
+        return self.first if self.frames is None else replace(self.first, values=self.frames[number])
+
+    def with_bins(self, bins: int) -> Captured:
+        """The first `bins` bins alone."""
+        first = replace(self.first, values=self.first.values[..., :bins], time=replace(self.first.time, bins=bins))
+        return replace(self, first=first, frames=None if self.frames is None else self.frames[..., :bins])
+
+    def sentence(self, layout: str) -> str:
+        """What was taken for layout, axes, laser points, units, time zero and wall, in one line."""
+        m = self.first
+        lasers, pixels = len(m.laser_points), len(m.seen_points)
+        pairing = f"confocal, {lasers} points" if m.paired else f"{lasers} laser points × {pixels} pixels"
+        size = np.ptp(m.frame.to_wall(m.seen_points), axis=0)
+        zero = "the laser" if m.time.origin == "source" else "the wall"
+        depth = f", {size[2]:.3g} m deep" if size[2] > 1e-3 * max(size) else ""
+        said = [
+            layout, self.axes, *([] if self.frames is None else [f"{len(self.frames)} frames"]), pairing,
+            f"bins of {m.time.width_s * 1e12:.6g} ps from {m.time.start_s * 1e9:.6g} ns, counted from {zero}",
+            f"points over {size[0]:.4g} × {size[1]:.4g} m{depth}", *self.notes,
+        ]  # fmt: skip
+        return "; ".join(said)
 
 
 def recording_of(scene: SceneContent, quantity: str | None = None) -> Recording:
@@ -280,19 +343,16 @@ def bin_width_s(content: Content) -> float | None:
     return content.number("bin_resolution") if "bin_resolution" in content.arrays else None
 
 
-def refuse_options(options: ImportOptions, why: str) -> None:
-    """Raise `InputError` for an option that states what the file states itself, as `why` says."""
-    for name, flag in _FLAGS.items():
-        if getattr(options, name) is not None:
-            raise InputError(f"--{flag}: {why}; leave the option out")
-
-
-def seconds_of(text: str) -> float:
-    """Seconds of a text: `"4ps"` → 4e-12. Raises `InputError` for any other text."""
-    found = re.fullmatch(rf"{_NUMBER}\s*(fs|ps|ns|us|s)", text.strip())
-    if found is None or float(found[1]) <= 0:
-        raise InputError(f"{as_given('bin_width', text)}: must be a time such as 4ps or 0.032ns")
-    return float(found[1]) * _SECONDS[found[2]]
+def seconds_of(argument: str, text: str) -> float:
+    """Seconds of a text, a time or the path of light: `"4ps"` → 4e-12, `"3mm"` → 1e-11. Raises `InputError`, which
+    names the argument, for any other text."""
+    found = re.fullmatch(rf"{_NUMBER}\s*(fs|ps|ns|us|s|mm|cm|m)", text.strip())
+    if found is None:
+        raise InputError(
+            f"{as_given(argument, text)}: must be a time such as 4ps or 0.032ns, or the path of light such as 3mm"
+        )
+    number, unit = float(found[1]), found[2]
+    return number * _SECONDS[unit] if unit in _SECONDS else float(time_from_path(number * _METRES[unit]))
 
 
 def metres_of(text: str) -> tuple[float, float]:

@@ -18,18 +18,18 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from datagen.config.imported import ImportOptions
 from datagen.config.yaml_text import parse_yaml
 from datagen.errors import InputError, TooLargeError
-from datagen.formats.containers import ONE, POINTS, VALUES, Content, h5py, hdf5_content
+from datagen.formats.containers import ONE, POINTS, VALUES, Content, h5py
 from datagen.formats.recording import (
     UNKNOWN,
+    Captured,
     Recording,
+    Stated,
     WallFrame,
     lattice,
     quantity_in,
     recording_of,
-    refuse_options,
     time_bins,
 )
 from datagen.records.arrays import Floats, Ints
@@ -43,7 +43,7 @@ GridFormat = Enum("GridFormat", "UNKNOWN N_3 X_Y_3", start=0)
 """The axes of points: list or grid."""
 VolumeFormat = Enum("VolumeFormat", "UNKNOWN N_3 X_Y_Z_3 X_Y_3", start=0)
 """The axes of volumes: y-tal has deprecated the key, and refuses files without it."""
-_WANTED = {
+WANTED = {
     "H": VALUES, "H_format": ONE, "sensor_xyz": POINTS, "sensor_grid_xyz": POINTS, "sensor_grid_normals": POINTS,
     "laser_xyz": POINTS, "laser_grid_xyz": POINTS, "laser_grid_normals": POINTS, "delta_t": ONE, "t_start": ONE,
     "t_accounts_first_and_last_bounces": ONE, "scene_info": ONE,
@@ -141,20 +141,13 @@ def _scene_info(scene: SceneContent, quantity: str | None, frame: WallFrame, hid
     return info
 
 
-def read_tal(path: Path, options: ImportOptions) -> Recording:
-    """The recording in one file, in the file's frame. Its times are metres of path there, and become seconds.
+def read_tal(content: Content, stated: Stated) -> Captured:
+    """The recording in a file of y-tal, in the file's frame. Its times are metres of path there, and become seconds.
 
     Raises `InputError`, one line, for a file that is damaged or lacks something.
     """
-    refuse_options(options, "a file of y-tal says it itself")
-    content = hdf5_content(path, _WANTED)
-    if "H" not in content.names and {"data", "cameraGridPositions"} <= {*content.names}:
-        raise InputError(
-            f"{path}: is of the Zaragoza NLOS dataset; let y-tal write it anew first: "
-            "tal.io.write_capture(new, tal.io.read_capture(old))"
-        )
-    seen, lit = content.points("sensor_grid_xyz"), content.points("laser_grid_xyz")
-    values, paired = _values(content, lit, seen)
+    path, seen, lit = content.path, content.points("sensor_grid_xyz"), content.points("laser_grid_xyz")
+    values, form, paired = _values(content, lit, seen)
     from_source = bool(content.number("t_accounts_first_and_last_bounces"))
     laser, sensor = (
         content.points(name).reshape(-1)[:3] if name in content.arrays else UNKNOWN
@@ -167,20 +160,21 @@ def read_tal(path: Path, options: ImportOptions) -> Recording:
         )
     width_s = time_from_path(content.number("delta_t")) if "delta_t" in content.arrays else None
     time = time_bins(
-        path, values.shape[-1], width_s, options, start_s=time_from_path(content.number("t_start")),
+        path, values.shape[-1], width_s, stated.options, start_s=time_from_path(content.number("t_start")),
         origin="source" if from_source else "wall", named="delta_t",
     )  # fmt: skip
     lit_normals = content.normals("laser_grid_normals", lit)
     seen_normals = content.normals("sensor_grid_normals", seen)
     lit, seen = lit.reshape(-1, 3), seen.reshape(-1, 3)
-    return Recording(
+    recording = Recording(
         values, paired, lit, lit_normals, seen, seen_normals, time, laser, sensor,
         WallFrame.facing(seen, seen_normals), _hidden(path, content.texts.get("scene_info", "")),
     )  # fmt: skip
+    return Captured(recording, f"H ({form.name})", notes=("lengths in m",))
 
 
-def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], bool]:
-    """H as (L, P, T), and whether each pixel has one laser point of its own (then P = 1)."""
+def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], HFormat, bool]:
+    """H as (L, P, T), its format, and whether each pixel has one laser point of its own (then P = 1)."""
     h, number = content.array("H"), content.number("H_format")
     try:
         form = HFormat(int(number))
@@ -195,12 +189,12 @@ def _values(content: Content, lit: Floats, seen: Floats) -> tuple[NDArray[Any], 
     lasers = math.prod(lit.shape[:-1])
     if exhaustive:
         _check_grid(content.path, "laser_grid_xyz", h.shape[1 : 1 + axes], lit)
-        return np.moveaxis(h.reshape(len(h), lasers, pixels), 0, -1), False
+        return np.moveaxis(h.reshape(len(h), lasers, pixels), 0, -1), form, False
     values = np.moveaxis(h.reshape(len(h), pixels), 0, -1)
     if lasers == pixels:
-        return values[:, None], True
+        return values[:, None], form, True
     if lasers == 1:
-        return values[None], False
+        return values[None], form, False
     raise InputError(
         f"{content.path}: laser_grid_xyz: {lasers} points beside {pixels} pixels in a {form.name}; one, or one for "
         "each pixel, is needed"

@@ -197,16 +197,26 @@ def _provenance(dataset: Description) -> list[str]:
 
 def _imported(manifest: Manifest) -> list[str]:
     """Lines that name the files that were imported, and the options; none of a simulated dataset."""
-    files = [
-        f"scene {scene}: {_code(file.name)} ({file.format}), SHA-256 `{file.sha256}`"
-        for scene, file in enumerate(manifest.imported)
-    ]
+    files, scene = list[str](), 0
+    for file in manifest.imported:
+        last = scene + (file.frames or 1) - 1
+        scenes = f"scene {scene}" if last == scene else f"scenes {scene} to {last}"
+        files.append(f"{scenes}: {_code(file.name)} ({file.format}), SHA-256 `{file.sha256}`")
+        scene = last + 1
     if not files:
         return []
     more = [f"and {len(files) - _MOST_LINES} more, see `dataset.json`"] if len(files) > _MOST_LINES else []
     given = manifest.config["scene"]["layout"]["options"]
+    taken = [
+        f"taken: {_plain(one)}" for one in dict.fromkeys(file.taken for file in manifest.imported) if one is not None
+    ]
     options = ", ".join(f"{name} {_option(value)}" for name, value in given.items() if value is not None)
-    return [*files[:_MOST_LINES], *more, *([f"options of the import: {options}"] if options else [])]
+    return [
+        *files[:_MOST_LINES],
+        *more,
+        *taken[:_MOST_LINES],
+        *([f"options of the import: {options}"] if options else []),
+    ]
 
 
 def _option(value: Any) -> str:

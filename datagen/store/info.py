@@ -87,6 +87,8 @@ def _origin(dataset: Description) -> list[str]:
         kinds = ", ".join(dict.fromkeys(file.format for file in files))
         names = ", ".join(file.name for file in files[:3])
         lines.append(f"imported     from {len(files)} files ({kinds}): {names}{', …' if len(files) > 3 else ''}")
+        taken = dict.fromkeys(file.taken for file in files if file.taken is not None)
+        lines += [f"taken        {sentence}" for sentence in list(taken)[:3]]
     return lines + [f"mixed        {difference}" for difference in dataset.differences()]
 
 

@@ -49,7 +49,7 @@ MAT: dict[str, Case] = {
     "no delays": ({"meas": H}, WALL, "tof"),
     "other delays": ({"meas": H, "tofgrid": np.zeros((2, 2))}, WALL, "(2, 2)"),
     "delays beyond all": ({"meas": H, "tofgrid": np.full((3, 3), 1e4)}, WALL, "ps"),
-    "frames": ({"meas": np.ones((2, 3, 3, 8))}, WALL | {"tof": "none"}, "(2, 3, 3, 8)"),
+    "too many axes": ({"meas": np.ones((2, 2, 3, 3, 8))}, WALL | {"tof": "none"}, "(2, 2, 3, 3, 8)"),
     "cells": ({"rect_data": np.array([H, "x"], object), "width": 1.0}, WIDTH, "cell array"),
     "another program's": ({"dataset": H}, {}, "rect_data"),
     "pairs that do not fit": ({"trans_data": H[0], "camera_points": H[0], "laser_points": np.ones((2, 3))}, WIDTH,
@@ -66,7 +66,7 @@ def hdf5_elsewhere(file: Any, folder: Path) -> None:
 
 
 HDF5: dict[str, tuple[Callable[[Any, Path], object], str]] = {
-    "no H": (lambda file, _: None, "H: missing; the file has"),
+    "no H": (lambda file, _: None, "of no known layout (H, "),
     "text for H": (lambda file, _: file.create_dataset("H", data="light"), "H"),
     "objects": (
         lambda file, _: file.create_dataset("H", (8, 3, 3), dtype=h5py.special_dtype(ref=h5py.Reference)),
@@ -79,7 +79,6 @@ HDF5: dict[str, tuple[Callable[[Any, Path], object], str]] = {
         lambda file, _: file.create_dataset("H", (2**20, 3, 3), "f4", chunks=(1024, 3, 3)),
         "and 0 there",
     ),
-    "Zaragoza": (lambda file, _: file.update({"data": H, "cameraGridPositions": SEEN}), "Zaragoza"),
 }
 """Kind → what is put in the place of H, a piece of the refusal."""
 BYTES: dict[str, Callable[[bytes], bytes]] = {

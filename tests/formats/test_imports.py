@@ -19,9 +19,8 @@ from datagen.cli import run
 from datagen.config.imported import ImportOptions
 from datagen.formats import export
 from datagen.formats.containers import VALUES, matlab_content
-from datagen.formats.layouts import read_mat
-from datagen.formats.recording import Recording, recording_of
-from datagen.formats.tal import read_tal
+from datagen.formats.layouts import read_capture
+from datagen.formats.recording import Recording, Stated, recording_of
 from datagen.store import read_manifest, verify
 from datagen.store.info import info
 from datagen.store.scenes import SceneContent, Scenes
@@ -303,7 +302,8 @@ def test_no_damage_ends_in_anything_but_a_line(name: str, tmp_path: Path) -> Non
         path.write_bytes(harmed)
         try:
             options = ImportOptions(bin_width_ps=None if name == "c.hdf5" else 4.0)
-            read = read_tal(path, options) if name == "c.hdf5" else read_mat(path, options)
+            form = "tal" if name == "c.hdf5" else "mat"
+            read = read_capture(path, form, Stated(options))[0].first
             assert read.in_order().geometry()["laser_points"].shape[1] == 3
         except dg.InputError as error:
             refused += 1
