@@ -201,6 +201,53 @@ def matlab(kind: int, shape: tuple[int, ...], name: bytes = b"rect_data") -> Cal
     return command
 
 
+def structure(count: int) -> Callable[[Path], list[str]]:
+    """A file of MATLAB whose structure has a field of so many zeros, compressed."""
+
+    def command(folder: Path) -> list[str]:
+        fields = {"transient": np.zeros((8, 8, count // 64)), "l": np.ones((64, 3))}
+        scipy.io.savemat(folder / "s.mat", {"NLOSDATA": fields}, do_compression=True)
+        return ["import", str(folder / "s.mat"), str(folder / "out")]
+
+    return command
+
+
+def array_alone(content: Content) -> Callable[[Path], list[str]]:
+    """`import` of an array of NumPy as a grid of histograms."""
+    asked = [
+        "--axes",
+        "yxt",
+        "--bin",
+        "4ps",
+        "--tof",
+        "none",
+        "--start",
+        "0ns",
+        "--wall",
+        "1m",
+        "--laser",
+        "confocal",
+    ]
+    return lambda folder: ["import", str(written(folder / "a.npy", content)), str(folder / "out"), *asked]
+
+
+def consumer(**members: Content) -> Callable[[Path], list[str]]:
+    return lambda folder: ["import", str(zipped(folder / "v.npz", **members)), str(folder / "out"), "--bin", "4ps"]
+
+
+def places(text: bytes) -> Callable[[Path], list[str]]:
+    """`import` of frames beside a compressed file of places."""
+
+    def command(folder: Path) -> list[str]:
+        path = folder / "A_4inch_3x3_lighton_NLOSdata" / "spad_histogram" / "001.npy"
+        path.parent.mkdir(parents=True)
+        np.save(path, np.ones((3, 3, 3, 128)))
+        named = written(folder / "p.json.gz", gzip.compress(text))
+        return ["import", str(path), str(folder / "out"), "--device", "tmf8820", "--places", str(named)]
+
+    return command
+
+
 HUGE = declared((10**9, 9, 128))
 BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "frames: compressed JSON": frames("a.json.gz", words),
@@ -243,6 +290,15 @@ BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "y-tal: many numbers for one": tal(delta_t=np.zeros(2**23)),
     "MATLAB: compressed zeros": matlab(9, (64, 64, 70_000)),
     "MATLAB: many numbers for one": matlab(6, (2**12, 2**12), b"width"),
+    "MATLAB: a structure of zeros": structure(5 * 2**23),
+    "NumPy: a shape without values": array_alone(HUGE),
+    "consumer: a shape without values": consumer(hists=HUGE, pt_cloud=declared((16, 3), bytes(16 * 3 * 8))),
+    "consumer: compressed zeros": consumer(
+        hists=lambda: declared((64, 64, 70_000), bytes(64 * 64 * 70_000), "u1"),
+        pt_cloud=declared((16, 3), bytes(16 * 3 * 8)),
+    ),
+    "places: nested JSON": places(b"[" * 10**6),
+    "places: compressed blanks": places(b" " * 2**28),
     "y-tal: compressed text": tal(scene_info=np.array([b"x" * 2**28])),
 }  # fmt: skip
 """Name → what writes the file into a folder and returns the command that reads it."""
@@ -337,6 +393,24 @@ def packed_matlab(folder: Path) -> tuple[Path, int]:
     return folder / "m.mat", counts.nbytes
 
 
+def packed_structure(folder: Path) -> tuple[Path, int]:
+    counts = np.random.default_rng(0).poisson(0.1, (16, 16, 2**13)) + 0.5
+    fields = {
+        "l": np.ones((256, 3)),
+        "times": 0.01 * np.arange(1, 2**13 + 1),
+        "is_confocal": 1.0,
+        "transient": counts,
+    }
+    scipy.io.savemat(folder / "s.mat", {"NLOSDATA": fields}, do_compression=True)
+    return folder / "s.mat", counts.nbytes
+
+
+def packed_volume(folder: Path) -> tuple[Path, int]:
+    counts = np.random.default_rng(0).poisson(0.1, (256, 2**13)) + 0.5
+    np.savez_compressed(folder / "v.npz", hists=counts, pt_cloud=np.ones((256, 3)))
+    return folder / "v.npz", counts.nbytes
+
+
 def decimals(folder: Path) -> tuple[Path, int]:
     counts = np.random.default_rng(0).poisson(50, (60, 9, 128)) + 0.1
     text = json.dumps([{"hists": frame.tolist(), "note": ["{", {"a": [1, "]"]}]} for frame in counts])
@@ -350,19 +424,22 @@ def whole_numbers(folder: Path) -> tuple[Path, int]:
     return folder / "a.npz", 8 * counts.size
 
 
-@pytest.mark.parametrize("write", [packed_tal, packed_matlab, decimals, whole_numbers])
+@pytest.mark.parametrize(
+    "write", [packed_tal, packed_matlab, packed_structure, packed_volume, decimals, whole_numbers]
+)
 def test_reading_takes_twice_what_a_capture_of_that_shape_needs(
     write: Callable[[Path], tuple[Path, int]], tmp_path: Path
 ) -> None:
     """The array as the file has it, or for frames its text and the histograms in double precision."""
     path, needed = write(tmp_path)
-    options = ImportOptions(bin_width_ps=None if path.suffix == ".hdf5" else 4.0)
+    form = {".mat": "mat", ".hdf5": "tal"}.get(path.suffix, "numpy" if path.name == "v.npz" else "frames")
+    options = ImportOptions(bin_width_ps=4.0 if path.name in ("m.mat", "v.npz") else None)
     tracemalloc.start()
     try:
-        if path.suffix in (".json", ".npz"):
+        if form == "frames":
             dg.read_frames(path)
         else:
-            read_capture(path, "mat" if path.suffix == ".mat" else "tal", Stated(options))
+            read_capture(path, form, Stated(options))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

@@ -26,7 +26,7 @@ from datagen.formats.recording import (
     time_bins,
 )
 from datagen.records.arrays import Floats
-from datagen.records.checks import as_given
+from datagen.records.checks import as_given, option
 from datagen.units import time_from_path
 
 _UNEVEN = 0.01
@@ -76,7 +76,8 @@ def read_convolutional(content: Content, stated: Stated) -> Captured:
     of a confocal scan: `transient` (a, b, time), `l` (a · b, 3) with the last axis fastest, `times` the ends of the
     bins in metres of path from the wall, as its light-cone transform and its backprojection take them."""
     path, light = content.path, content.array("NLOSDATA.transient")
-    if not content.number("NLOSDATA.is_confocal"):
+    says = bool(content.number("NLOSDATA.is_confocal")) if "NLOSDATA.is_confocal" in content.arrays else None
+    if not _is_confocal(content, says, "NLOSDATA.is_confocal", stated):
         raise InputError(
             f"{path}: NLOSDATA.is_confocal = 0, and the order of transient over l and s is not published; write it "
             "as trans_data (N, T), camera_points and laser_points (N, 3), a row for each pair"
@@ -102,13 +103,18 @@ def read_fermat(content: Content, stated: Stated) -> Captured:
     if rows.ndim != 2 or rows.size == 0 or len(seen) != len(rows):
         raise InputError(f"{path}: transients {rows.shape} for {len(seen)} detLocs; (N, T) and (N, 3) are needed")
     center_m, width_m = _even_bins(content, "temporalBinCenters", rows.shape[1], 0.01)
-    source = content.arrays.get("srcLoc", None)
-    is_confocal = _is_confocal(content, source, stated)
+    source = content.arrays.get("srcLoc")
+    says = None if source is None else source.size == 0
+    if "whetherConfocal" in content.arrays:
+        says = bool(content.number("whetherConfocal"))
+    is_confocal = _is_confocal(content, says, "whetherConfocal and srcLoc", stated)
     bins, axes, notes = (center_m - width_m / 2, width_m), "transients (point, time)", ("lengths in cm",)
     if is_confocal:
         return _confocal(content, rows[:, None], seen, bins, stated, axes, notes)
-    at = stated.options.laser if isinstance(stated.options.laser, tuple) else None
-    lit = np.array([at]) if at is not None else content.points("srcLoc").reshape(-1, 3) / 100
+    at = stated.options.laser
+    if source is not None and source.size and at is not None:
+        raise InputError(f"{path}: has srcLoc; leave {option('laser')} out")
+    lit = np.array([at]) if isinstance(at, tuple) else content.points("srcLoc").reshape(-1, 3) / 100
     if len(lit) != 1:
         raise InputError(f"{path}: srcLoc: {len(lit)} points; one laser point, or none of a confocal scan, is needed")
     found = _confocal(content, rows[:, None], seen, bins, stated, axes, notes)
@@ -132,18 +138,22 @@ def read_consumer(content: Content, stated: Stated) -> Captured:
     return _confocal(content, rows, points, (0.0, None), stated, "hists (zone, time)", notes)
 
 
-def _is_confocal(content: Content, source: NDArray[Any] | None, stated: Stated) -> bool:
-    """Whether a file of Fermat paths is of a confocal scan, by itself or by the options."""
-    if "whetherConfocal" in content.arrays:
-        return bool(content.number("whetherConfocal"))
-    if source is not None:
-        return source.size == 0
-    if stated.options.laser is None:
+def _is_confocal(content: Content, says: bool | None, named: str, stated: Stated) -> bool:
+    """Whether a scan is confocal, as the file `says` in the variables `named`, or the options.
+
+    Raises `InputError` where neither states it, and where they contradict each other.
+    """
+    asked = stated.options.laser
+    if says is None and asked is None:
         raise InputError(
-            f"{content.path}: has neither whetherConfocal nor srcLoc; say {as_given('laser', 'confocal')}, or where "
-            f"the laser point was, in metres: {as_given('laser', '0.1,0,0')}"
+            f"{content.path}: has no {named}; say {as_given('laser', 'confocal')}, or where the laser point was, in "
+            f"metres: {as_given('laser', '0.1,0,0')}"
         )
-    return stated.options.laser == "confocal"
+    if says is not None and asked is not None and says != (asked == "confocal"):
+        raise InputError(
+            f"{content.path}: {named} says {'' if says else 'not '}confocal; leave {option('laser')} out"
+        )
+    return asked == "confocal" if says is None else says
 
 
 def _confocal(

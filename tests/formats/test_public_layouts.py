@@ -349,6 +349,9 @@ REFUSED: dict[str, tuple[Callable[[Path], tuple[Path, dict[str, Any]]], str]] = 
                            isConfocal=0.0), {}), "isConfocal = 0"),
     "convolutional, not confocal": (
         lambda f: (mat(f / "c.mat", NLOSDATA=of_nlosdata(False)), {}), "trans_data (N, T)"),
+    "convolutional that does not say its laser": (
+        lambda f: (mat(f / "c.mat", NLOSDATA={"transient": np.ones((2, 2, 9)), "l": np.ones((4, 3))}), {}),
+        "no NLOSDATA.is_confocal; say laser = 'confocal'"),
     "a structure without the fields": (
         lambda f: (mat(f / "c.mat", NLOSDATA={"times": np.ones(3)}), {}), "NLOSDATA.transient: missing"),
     "Fermat of uneven bins": (
@@ -356,7 +359,10 @@ REFUSED: dict[str, tuple[Callable[[Path], tuple[Path, dict[str, Any]]], str]] = 
                            temporalBinCenters=[1.0, 2.0, 4.0]), {}), "evenly spaced"),
     "Fermat that does not say its laser": (
         lambda f: (mat(f / "u.mat", transients=np.ones((4, 3)), detLocs=np.ones((4, 3)),
-                           temporalBinCenters=[1.0, 2.0, 3.0]), {}), "neither whetherConfocal nor srcLoc"),
+                           temporalBinCenters=[1.0, 2.0, 3.0]), {}), "no whetherConfocal and srcLoc; say laser"),
+    "Fermat of another laser": (lambda f: (fermat(f, None).file, {"laser": "0.1,0,0"}), "says confocal"),
+    "Fermat of two laser points": (
+        lambda f: (fermat(f, LIT).file, {"laser": "0.1,0,0"}), "has srcLoc; leave laser out"),
     "fields of frequencies": (
         lambda f: (mat73(f / "rsd.mat", u_total=np.ones((4, 4, 3)), omega_space=np.ones(3)), {}),
         "cannot be had"),
