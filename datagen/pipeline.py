@@ -73,8 +73,8 @@ STAGES = (
     ),
     Stage("detector", (), ("detector.", "exposure."), ()),
     Stage(
-        "light", ("transient", "transient_stderr", "background_transient"), ("transient.", "transport.", *_TRANSPORT),
-        ("effects", "transport", "background"),
+        "light", ("transient", "transient_stderr", "moving_transient", "background_transient"),
+        ("transient.", "transport.", *_TRANSPORT), ("effects", "transport", "background"),
     ),
     Stage(
         "counts", ("histogram", "background_histogram"), ("histogram.", "sampler.", "effect."), ("detector",),
@@ -319,7 +319,7 @@ def simulated_frames(setup: Setup) -> LightOfFrames:
             config, setup.index, scene, capture, effects, setup.spad, setup.exposure, frames=frames
         )  # fmt: skip
         lit = replace(lit, captures=setup.captures)
-        light = lit.frames(times.points)
+        light = lit.frames(times.points, apart="moving_transient" in setup.fields)
         if np.isnan(light.laser_points).all():
             raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
     background = None
@@ -444,6 +444,8 @@ def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
     if "transient" in arrays:
         # Light keeps its sign: what is clipped would be a bias of the changes.
         arrays["transient"] = light.frames.static + light.frames.moving
+    if "moving_transient" in setup.fields:
+        arrays["moving_transient"] = light.frames.moving
     arrays |= _geometry(setup) | {"laser_time": setup.times.points}
     changing = {
         "transient.change_error": _change_error(light.frames),

@@ -134,6 +134,13 @@ class DatasetConfig(Settings):
                     "give both, or ask for evidence"
                 )
         self._check_motion_of_sensor()
+        if "moving_transient" in self.store.fields and (self.sequence is None or self.capture.motion is not None):
+            why = (
+                "without sequence: nothing moves"
+                if self.sequence is None
+                else "with capture.motion: all light changes"
+            )
+            raise ValueError(f"store.fields: 'moving_transient' {why}; leave the field out")
         if self.sequence is None:
             for i, item in enumerate(self.scene.contents):
                 if item.motion is not None:

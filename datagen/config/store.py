@@ -10,7 +10,8 @@ from datagen.config.base import Settings
 from datagen.records.label_fields import LabelName
 
 StoredField = Literal[
-    "histogram", "transient", "transient_stderr", "background_histogram", "background_transient", LabelName
+    "histogram", "transient", "transient_stderr", "moving_transient", "background_histogram", "background_transient",
+    LabelName,
 ]  # fmt: skip
 
 
@@ -18,7 +19,8 @@ class StoreConfig(Settings):
     """What is written. Small fields (laser points, pixels, parameters) are always there."""
 
     fields: Annotated[tuple[StoredField, ...], Field(min_length=1)] = ("histogram", "transient", "depth")
-    """The fields to store. `objects`: tables of object classes, poses, boxes and evidence. `evidence`: the image of
+    """The fields to store. `moving_transient`, of a `sequence`: the part of the transient that is by what moves.
+    `objects`: tables of object classes, poses, boxes and evidence. `evidence`: the image of
     expected detections from each label pixel. `background_histogram` and `background_transient`: counts and light of
     the same room without its objects, which takes one more simulation. `presence`: the significance of the difference
     between the scene with an object and without it, which takes one more simulation for each object. `zone_depth`:

@@ -42,10 +42,11 @@ class Light:
         """The transient of the scene."""
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
-    def frames(self, times_s: Floats) -> SequenceLight:
-        """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L)."""
+    def frames(self, times_s: Floats, apart: bool = False) -> SequenceLight:
+        """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L). apart : whether
+        what is by moving parts is told apart in all of it, as in `light_of_sequence`."""
         captures = [self.capture] * len(times_s) if self.captures is None else self.captures
-        return light_of_sequence(self.scene, captures, times_s, self.accuracy, self.seed)
+        return light_of_sequence(self.scene, captures, times_s, self.accuracy, self.seed, apart)
 
     def frames_without(self, name: str, times_s: Floats) -> SequenceLight:
         """The light of the frames without one part, from the same random numbers."""

@@ -24,7 +24,7 @@ from datagen.store.scenes import SceneContent
 from datagen.units import time_from_path
 
 UNKNOWN = np.full(3, np.nan)
-QUANTITIES = ("histogram", "transient", "background_histogram", "background_transient")
+QUANTITIES = ("histogram", "transient", "moving_transient", "background_histogram", "background_transient")
 _SAME_PLACE_M = 1e-9
 SMALLEST_WALL_M = 0.01
 """Width of the relay wall of a scan of a single point, which has no extent of its own."""

@@ -175,6 +175,8 @@ def _measured_fields(config: DatasetConfig) -> tuple[Field, ...]:
               "expected impulse response of the scene, before the detector"),
         Field("transient_stderr", of_light, light, "float32", photons,
               "standard error of the transient from independent replicates; NaN when there was only one"),
+        Field("moving_transient", of_light, light, "float32", photons,
+              "light of the frame less that of the scene without what moves: what that brings less what it blocks"),
         Field("background_histogram", counted, measured, config.store.histogram_dtype, "counts",
               "photons detected over an exposure of the same room without its objects, with noise of its own"),
         Field("background_transient", of_light, light, "float32", photons,

@@ -21,7 +21,7 @@ from datagen.store.record import BUILD, FileRecord, SceneRecord, ShardRecord, re
 from datagen.store.schema import Field, Schema
 from datagen.store.stats import COUNTS, LABELS, WITH_STATS, stats_of
 
-FINITE = ("transient", "background_transient", *LABELS)
+FINITE = ("transient", "moving_transient", "background_transient", *LABELS)
 """Fields whose values must be finite."""
 
 

@@ -132,20 +132,38 @@ def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> Floats
 
 
 def light_of_sequence(
-    scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int
+    scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int, apart: bool = False
 ) -> SequenceLight:  # fmt: skip
     """The same as `simulate_sequence`, without checks and warnings, for arguments that were checked before.
 
     captures : one for each frame. times : (F, L) seconds.
+    apart : of a sensor that stands: `static` is the light of the scene without its moving parts, and `moving` what
+        comes to it, also where frames do not share their light. That light is then simulated once more.
     """
     if all(capture is captures[0] for capture in captures):
         if not scene.moving:
             return _standing(scene, captures[0], times, accuracy, seed)
+        light: SequenceLight | None = None
         if accuracy.target is not None and captures[0].illumination == "scan":
-            light = shared_light(scene, captures[0], times, accuracy, seed)
-            if light is not None:
-                return light
+            light = shared_light(scene, captures[0], times, accuracy, seed, apart)
+        if light is None:
+            light = light_of_frames(scene, captures, times, accuracy, seed)
+            if apart:
+                light = _told_apart(light, _without_movers(scene, captures[0], accuracy, seed))
+        return light
     return light_of_frames(scene, captures, times, accuracy, seed)
+
+
+def _without_movers(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Floats:
+    """(L, P, T) the light of the scene without its moving parts, with the random numbers of a frame."""
+    if len(scene.moving) == len(scene.part_names):
+        return np.zeros(capture.shape)
+    return _frame(scene.without(*scene.moving), capture, 0.0, accuracy, seed).total
+
+
+def _told_apart(light: SequenceLight, static: Floats) -> SequenceLight:
+    """The light with so much (L, P, T) more of it that is static."""
+    return replace(light, static=light.static + static, moving=light.moving - static)
 
 
 def light_of_frames(
@@ -171,11 +189,12 @@ def _standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy,
 
 
 def shared_light(
-    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int
+    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int, apart: bool = False
 ) -> SequenceLight | None:
     """The light of a sequence whose static room is simulated once; None where that cannot be.
 
-    Frames in which a mover stands in the device's view are simulated by themselves.
+    Frames in which a mover stands in the device's view are simulated by themselves. apart : as in
+    `light_of_sequence`.
     """
     began, components = clock_time.perf_counter(), components_asked(accuracy)
     if "primary" not in components or accuracy.target is None:
@@ -190,7 +209,7 @@ def shared_light(
     others, moving = [name for name in components if name != "primary"], moving_light(static)
     light = _three_bounces(scene, times, static, moving, accuracy)
     if others:
-        light = _with_others(light, scene, capture, accuracy, seed, others)
+        light = _with_others(light, scene, capture, accuracy, seed, others, apart)
     for f in np.flatnonzero(hidden).tolist():
         light = _with_frame(light, f, _frame(scene, capture, float(times[f].mean()), accuracy, seed))
     met = light.relative_error <= MET * accuracy.target
@@ -232,21 +251,26 @@ def _three_bounces(scene: Scene, times: Floats, static: Static, moving: Moving, 
 
 
 def _with_others(
-    light: SequenceLight, scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, names: Sequence[str]
+    light: SequenceLight, scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, names: Sequence[str],
+    apart: bool,
 ) -> SequenceLight:  # fmt: skip
     """The light with further components: of each frame by itself, at the middle of its times, with the same random
-    numbers and the effort of the first frame."""
+    numbers and the effort of the first frame. apart : whether those of the scene without its moving parts, with these
+    random numbers, too, become static light."""
     first: Samples | None = None
     before, shape = np.zeros(0), light.static.shape
     moving, stderr, overflow = light.moving.copy(), light.stderr**2, light.overflow.copy()
     change, changes = light.change_stderr**2, light.change_errors**2
     norms = np.array([l2_norm(light.total(f)) for f in range(light.frames)])
     errors, rays = (light.relative_error * norms) ** 2, dict.fromkeys(names, 0.0)
+
+    def samples_of(stands: Scene, known: Floats, error: float) -> Samples:
+        one = set_apart(stands, capture)
+        problem = Problem.of(one.scene, capture, accuracy, seed, split_parts=False, caster=one.caster)
+        return sampled(problem, names, known.reshape(-1, shape[2]), error, like=first)
+
     for f in range(light.frames):
-        apart = set_apart(scene.at(float(light.times_s[f].mean())), capture)
-        problem = Problem.of(apart.scene, capture, accuracy, seed, split_parts=False, caster=apart.caster)
-        known = light.total(f).reshape(-1, shape[2])
-        samples = sampled(problem, names, known, math.sqrt(errors[f]), like=first)
+        samples = samples_of(scene.at(float(light.times_s[f].mean())), light.total(f), math.sqrt(errors[f]))
         first, found = first or samples, samples.found
         for name in names:
             moving[f] += found.light[name].reshape(shape)
@@ -263,9 +287,13 @@ def _with_others(
     norms = np.array([l2_norm(light.static + of) for of in moving])
     relative = np.divide(np.sqrt(errors), norms, out=np.zeros(len(norms)), where=norms > 0)
     assert first is not None
+    light = replace(light, moving=moving)
+    if apart:
+        still = samples_of(scene.without(*scene.moving), light.static, 0.0).found.light
+        light = _told_apart(light, np.sum([still[name] for name in names], axis=0).reshape(shape))
     ways = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in first.sources.items()}
     return replace(
-        light, moving=moving, stderr=np.sqrt(stderr), overflow=overflow, change_stderr=np.sqrt(change),
+        light, stderr=np.sqrt(stderr), overflow=overflow, change_stderr=np.sqrt(change),
         change_errors=np.sqrt(changes), relative_error=relative, rays={**light.rays, **rays},
         samplers={**light.samplers, **{name: f"frames: {way}" for name, way in ways.items()}},
     )  # fmt: skip

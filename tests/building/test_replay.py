@@ -127,7 +127,7 @@ def test_a_scene_is_the_same_as_stored(built: Path, made: Any, capsys: pytest.Ca
 def test_every_field_and_parameter_has_its_stage(again: Again) -> None:
     names = [name for stage in STAGES for name in stage.fields]
     everything = (*FIELDS, *dict.fromkeys(of.label for of in LABEL_FIELDS), "background_histogram")
-    full = config(store={"fields": [*dict.fromkeys((*everything, "background_transient"))]}, detector={"cycles": 10},
+    full = config(store={"fields": [*dict.fromkeys((*everything, "background_transient", "moving_transient"))]},
                   sequence={"frames": 2, "rate_hz": 10})  # fmt: skip
     assert sorted(names) == sorted({*names}) == sorted(schema_of(full).by_name)
     assert {key for stage in STAGES for key in stage.seconds} >= {*again.record.seconds}
