@@ -128,7 +128,7 @@ def test_every_field_and_parameter_has_its_stage(again: Again) -> None:
     names = [name for stage in STAGES for name in stage.fields]
     everything = (*FIELDS, *dict.fromkeys(of.label for of in LABEL_FIELDS), "background_histogram")
     full = config(store={"fields": [*dict.fromkeys((*everything, "background_transient", "moving_transient"))]},
-                  sequence={"frames": 2, "rate_hz": 10})  # fmt: skip
+                  detector={"cycles": 10}, sequence={"frames": 2, "rate_hz": 10})  # fmt: skip
     assert sorted(names) == sorted({*names}) == sorted(schema_of(full).by_name)
     assert {key for stage in STAGES for key in stage.seconds} >= {*again.record.seconds}
     stages = {name: stage_of_parameter(name).name for name in again.record.parameters}
