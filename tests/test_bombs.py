@@ -212,6 +212,16 @@ def structure(count: int) -> Callable[[Path], list[str]]:
     return command
 
 
+def declared_structure(folder: Path) -> list[str]:
+    """`import` of a file whose structure says that it has 200 MB, of which nothing is there."""
+    scipy.io.savemat(folder / "s.mat", {"NLOSDATA": {"transient": np.ones((2, 2, 9)), "l": np.ones((4, 3))}})
+    whole = (folder / "s.mat").read_bytes()
+    element = struct.pack("<II", 14, 200_000_000) + whole[136:]
+    packed = zlib.compress(element)
+    path = written(folder / "d.mat", whole[:128] + struct.pack("<II", 15, len(packed)) + packed)
+    return ["import", str(path), str(folder / "out")]
+
+
 def array_alone(content: Content) -> Callable[[Path], list[str]]:
     """`import` of an array of NumPy as a grid of histograms."""
     asked = [
@@ -291,6 +301,7 @@ BOMBS: dict[str, Callable[[Path], list[str]]] = {
     "MATLAB: compressed zeros": matlab(9, (64, 64, 70_000)),
     "MATLAB: many numbers for one": matlab(6, (2**12, 2**12), b"width"),
     "MATLAB: a structure of zeros": structure(5 * 2**23),
+    "MATLAB: a structure that is not there": declared_structure,
     "NumPy: a shape without values": array_alone(HUGE),
     "consumer: a shape without values": consumer(hists=HUGE, pt_cloud=declared((16, 3), bytes(16 * 3 * 8))),
     "consumer: compressed zeros": consumer(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -43,11 +43,11 @@ class Layout:
 
     name: str
     values: str
-    beside: frozenset[str]
+    beside: tuple[str, ...]
     axes: tuple[int, ...]
     wanted: Mapping[str, int]
     read: Callable[[Content, Stated], Captured]
-    options: frozenset[str] = field(default_factory=frozenset)
+    options: tuple[str, ...] = ()
 
     def fits(self, content: Content) -> bool:
         """Whether a file has this layout, by the names and shapes of its variables."""
@@ -62,7 +62,7 @@ def _refused(content: Content, stated: Stated, why: str) -> Captured:
     raise InputError(f"{content.path}: {why.format(variable=as_given('variable', 'data_t'))}")
 
 
-_GRID_OPTIONS = frozenset({"wall", "axes", "tof", "laser", "points"})
+_GRID_OPTIONS = ("wall", "axes", "tof", "laser", "points")
 _OF_PAIRS = {"camera_points": POINTS, "laser_points": POINTS, "camera_normals": POINTS, "laser_normals": POINTS,
              "bin_resolution": ONE}  # fmt: skip
 _OF_NLOSDATA = {"NLOSDATA.transient": VALUES, "NLOSDATA.l": POINTS, "NLOSDATA.times": POINTS,
@@ -72,31 +72,31 @@ _OF_FERMAT = {"transients": VALUES, "temporalBinCenters": VALUES, "detLocs": POI
 _OF_NETF = {"data": VALUES, "wall_size": 2, "time_bin": ONE, "deltaT": ONE}
 
 LAYOUTS = (
-    Layout("y-tal", "H", frozenset({"H_format"}), (), tal.WANTED, tal.read_tal),
-    Layout("Zaragoza NLOS dataset", "data", frozenset({"cameraGridPositions", "laserGridPositions", "deltaT", "t0"}),
+    Layout("y-tal", "H", ("H_format",), (), tal.WANTED, tal.read_tal),
+    Layout("Zaragoza NLOS dataset", "data", ("cameraGridPositions", "laserGridPositions", "deltaT", "t0"),
            (5, 7), zaragoza.WANTED, zaragoza.read_zaragoza),
-    Layout("Zaragoza NLOS dataset, as NeTF makes it over", "data", frozenset({"cameraGridPositions", "deltaT"}), (3,),
+    Layout("Zaragoza NLOS dataset, as NeTF makes it over", "data", ("cameraGridPositions", "deltaT"), (3,),
            zaragoza.WANTED, zaragoza.read_made_over),
-    Layout("NeTF, measured", "data", frozenset({"wall_size", "time_bin"}), (3,), _OF_NETF,
-           partial(read_netf, axes="tyx", bin_width="time_bin"), frozenset({"axes"})),
-    Layout("NeTF, simulated", "data", frozenset({"wall_size", "deltaT"}), (3,), _OF_NETF,
-           partial(read_netf, axes="xyt", bin_width="deltaT"), frozenset({"axes"})),
-    Layout("f-k migration", "meas", frozenset(), (), {"meas": VALUES, **OF_GRIDS},
+    Layout("NeTF, measured", "data", ("wall_size", "time_bin"), (3,), _OF_NETF,
+           partial(read_netf, axes="tyx", bin_width="time_bin"), ("axes",)),
+    Layout("NeTF, simulated", "data", ("wall_size", "deltaT"), (3,), _OF_NETF,
+           partial(read_netf, axes="xyt", bin_width="deltaT"), ("axes",)),
+    Layout("f-k migration", "meas", (), (), {"meas": VALUES, **OF_GRIDS},
            lambda content, stated: read_grid(content, "meas", "yxt", stated, counts_from_laser=True), _GRID_OPTIONS),
-    Layout("light-cone transform", "rect_data", frozenset(), (), {"rect_data": VALUES, **OF_GRIDS},
+    Layout("light-cone transform", "rect_data", (), (), {"rect_data": VALUES, **OF_GRIDS},
            lambda content, stated: read_grid(content, "rect_data", "xyt", stated, counts_from_laser=False),
            _GRID_OPTIONS),
-    Layout("pairs of points", "trans_data", frozenset(), (), {"trans_data": VALUES, **_OF_PAIRS}, read_pairs),
-    Layout("convolutional approximations", "NLOSDATA", frozenset(), (), _OF_NLOSDATA, read_convolutional,
-           frozenset({"laser"})),
-    Layout("Fermat paths", "transients", frozenset({"detLocs", "temporalBinCenters"}), (2,), _OF_FERMAT, read_fermat,
-           frozenset({"laser"})),
-    Layout("consumer NLOS", "hists", frozenset({"pt_cloud"}), (), {"hists": VALUES, "pt_cloud": POINTS},
+    Layout("pairs of points", "trans_data", (), (), {"trans_data": VALUES, **_OF_PAIRS}, read_pairs),
+    Layout("convolutional approximations", "NLOSDATA", (), (), _OF_NLOSDATA, read_convolutional,
+           ("laser",)),
+    Layout("Fermat paths", "transients", ("detLocs", "temporalBinCenters"), (2,), _OF_FERMAT, read_fermat,
+           ("laser",)),
+    Layout("consumer NLOS", "hists", ("pt_cloud",), (), {"hists": VALUES, "pt_cloud": POINTS},
            read_consumer),
-    Layout("phasor fields of 2020", "u_total", frozenset({"omega_space"}), (), {}, partial(
+    Layout("phasor fields of 2020", "u_total", ("omega_space",), (), {}, partial(
         _refused, why="holds a field at some frequencies (u_total, omega_space), from which counts over time cannot "
         "be had; take the histograms that it was made of")),
-    Layout("y-tal of NLOS-DIRAC", "data_t", frozenset({"offset_laser", "offset_camera"}), (), {}, partial(
+    Layout("y-tal of NLOS-DIRAC", "data_t", ("offset_laser", "offset_camera"), (), {}, partial(
         _refused, why="is of NLOS-DIRAC, and says not where laser and sensor stood, which y-tal guesses; state wall, "
         "times and laser of its array by options, beginning with {variable}")),
 )  # fmt: skip
@@ -138,8 +138,8 @@ def _layout(content: Content, variable: str | None) -> Layout | None:
     name = variable or ALONE
     if name not in content.names:
         raise InputError(f"{content.path}: {as_given('variable', name)}: it has {content.listed}")
-    options = _GRID_OPTIONS | {"variable", "start"}
-    return Layout("an array", name, frozenset(), (), {name: VALUES, "tofgrid": POINTS}, read_array, options)
+    options = (*_GRID_OPTIONS, "variable", "start")
+    return Layout("an array", name, (), (), {name: VALUES, "tofgrid": POINTS}, read_array, options)
 
 
 def _refuse_options(path: Path, layout: Layout, stated: Stated) -> None:

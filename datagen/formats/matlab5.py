@@ -83,6 +83,8 @@ def read_matlab5(
             if found.is_structure and found.name in structures:
                 # All of it is read, since where a field begins is told by those before it.
                 size = _size_of(head) if compressed else end - begin
+                if size > DEFLATE_REACHES * (end - begin):
+                    raise InputError(f"{path}: {found.name}: {size} bytes declared, more than the file can hold")
                 found = replace(found, bytes=size)
             elif found.name in wanted:
                 _check(path, found, wanted[found.name], end - begin)

@@ -53,9 +53,9 @@ def read_zaragoza(content: Content, stated: Stated) -> Captured:
         path, bins, time_from_path(content.number("deltaT")), stated.options,
         start_s=time_from_path(content.number("t0")), origin="source", named="deltaT",
     )  # fmt: skip
-    laser, sensor = (content.points(name) if name in content.arrays and content.array(name).shape == (3,)
-                     else content.array(name).reshape(-1).astype(np.float64)
-                     for name in ("laserPosition", "cameraPosition"))  # fmt: skip
+    laser, sensor = (
+        content.array(name).reshape(-1).astype(np.float64) for name in ("laserPosition", "cameraPosition")
+    )
     if laser.shape != (3,) or sensor.shape != (3,) or not np.isfinite([laser, sensor]).all():
         raise InputError(f"{path}: laserPosition, cameraPosition: three finite numbers each are needed, metres")
     hidden = _hidden(content)

@@ -134,7 +134,7 @@ def one_laser_point(folder: Path) -> Kind:
     )
 
 
-def zaragoza(folder: Path, lit: np.ndarray, confocal: bool, matlab: bool = False) -> Kind:
+def zaragoza(folder: Path, lit: np.ndarray, confocal: bool, matlab: bool = False, side: float = 1.0) -> Kind:
     """Wall in the plane of x and z, hidden part at y > 0; six bounces, of which the third has the light."""
     seen = along(wall(), 0, 2, 1)
     lit = along(lit, 0, 2, 1)
@@ -143,7 +143,7 @@ def zaragoza(folder: Path, lit: np.ndarray, confocal: bool, matlab: bool = False
     counts = np.moveaxis(light(*(along(of, 0, 2, 1) for of in pairs), legs=True), -1, 0)
     data = np.zeros((1, BINS, 6, *counts.shape[1:]), np.float32)
     data[0, :, 2] = counts
-    normals = [np.broadcast_to([0.0, 1.0, 0.0], of.shape) for of in (seen, lit)]
+    normals = [np.broadcast_to([0.0, side, 0.0], of.shape) for of in (seen, lit)]
     content = {
         "data": data, "cameraGridPositions": np.moveaxis(seen, -1, 0), "laserGridPositions": np.moveaxis(lit, -1, 0),
         "cameraGridNormals": np.moveaxis(normals[0], -1, 0), "laserGridNormals": np.moveaxis(normals[1], -1, 0),
@@ -152,6 +152,8 @@ def zaragoza(folder: Path, lit: np.ndarray, confocal: bool, matlab: bool = False
         "hiddenVolumeRotation": np.zeros(3), "t": BINS,
     }  # fmt: skip
     said = ("Zaragoza NLOS dataset", "counted from the laser", "bounces added up")
+    if side < 0:
+        said = (*said, "the hidden volume lies behind the normals")
     lasers = 20 if confocal else lit.size // 3
     shape = (20, 1) if confocal else (lasers, 20)
     if matlab:
@@ -238,6 +240,14 @@ def any_array(folder: Path) -> Kind:
     return Kind(file, (20, 1), ("an array", "final_meas (time, y, x)"), BIN | options | {"variable": "final_meas"})
 
 
+def one_of_npz(folder: Path) -> Kind:
+    """Frames, of which each is a scene, in a file with other arrays."""
+    np.savez(folder / "lab.npz", counts=np.stack([light(wall(), wall())] * 2), exposure_s=np.ones(2))
+    options = {"axes": "fyxt", "tof": "none", "start": 0.0, "wall": (0.8, 0.6), "laser": "confocal"}
+    said = ("counts (frame, y, x, time)", "2 frames")
+    return Kind(folder / "lab.npz", (20, 1), said, BIN | options | {"variable": "counts"}, scenes=2)
+
+
 def array_in_hdf5(folder: Path) -> Kind:
     """With bins that begin later than the light leaves the wall."""
     with h5py.File(folder / "d.h5", "w") as file:
@@ -253,11 +263,13 @@ KINDS: dict[str, Callable[[Path], Kind]] = {
     "Zaragoza, single": lambda folder: zaragoza(folder, np.array([[[0.1, 0.07, 0.0]]]), False),
     "Zaragoza, exhaustive": lambda folder: zaragoza(folder, wall(2, 3), False),
     "Zaragoza, exhaustive, by MATLAB": lambda folder: zaragoza(folder, wall(2, 3), False, matlab=True),
+    "Zaragoza, normals from the hidden part": lambda folder: zaragoza(folder, wall(), True, side=-1.0),
     "NeTF, Zaragoza": netf_made_over, "NeTF, measured": netf_measured, "NeTF, simulated": netf_simulated,
     "convolutional": convolutional, "convolutional, 7.3": convolutional_73,
     "Fermat, confocal": lambda folder: fermat(folder, None),
     "Fermat, one laser point": lambda folder: fermat(folder, np.array([0.1, 0.2, 0.0]), whetherConfocal=False),
     "consumer": consumer, "mitransient": mitransient, "any array": any_array, "any array, HDF5": array_in_hdf5,
+    "any array, npz": one_of_npz,
 }  # fmt: skip
 
 
