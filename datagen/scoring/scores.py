@@ -14,9 +14,11 @@ import numpy as np
 from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
 from datagen.records.checks import check_kind, check_path
+from datagen.scoring import tracks
 from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import Truth, read_truth
+from datagen.store import Manifest, read_manifest
 from datagen.store.files import finite
 from datagen.store.summaries import LEAST
 from datagen.suites import is_published
@@ -30,7 +32,9 @@ TITLES = {
     "occupancy_iou": "overlap of occupied voxels (IoU)",
     "center_m": "distance of objects' centres (m)",
 }
-"""Metric → its title for people."""
+"""Metric of single scenes → its title for people."""
+MOVING = (tracks.TITLES, "each frame changes by")
+"""Titles of the metrics of sequences, and what has evidence there."""
 Metrics = dict[str, float]
 
 
@@ -43,9 +47,10 @@ class Scores:
     dataset : name of the dataset.
     published : whether the dataset is a suite that agrees with the published one.
     split, scenes : the split, and its number of scenes.
-    scenes_with_evidence : number of scenes in which every object has evidence (a significance of 3 or more).
+    scenes_with_evidence : number of scenes in which every object has evidence (a significance of 3 or more); of
+        sequences, in which the change by every object that moves has it, in the median of the frames.
     all, with_evidence : metric → value, over all objects, and over the objects with evidence. Metrics of quantities
-        that were not predicted are left out.
+        that were not predicted are left out. Of sequences over the objects that move, in all frames.
     """
 
     dataset: str
@@ -59,15 +64,16 @@ class Scores:
     def table(self) -> str:
         """The scores as a table for people."""
         state = "as published" if self.published else "not one of the published suites"
-        width = max(map(len, TITLES.values()))
+        titles, has = (TITLES, "every object has") if self.all.keys() <= TITLES.keys() else MOVING
+        width = max(map(len, titles.values()))
         lines = [
             f"{self.dataset} ({state}), split {self.split}: {self.scenes} scenes, in {self.scenes_with_evidence} of "
-            f"them every object has {LEAST:g} σ",
+            f"them {has} {LEAST:g} σ",
             "",
             f"{'':{width}}  {'all':>8}  {f'≥ {LEAST:g} σ':>8}",
         ]
         for name, value in self.all.items():
-            lines.append(f"{TITLES[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
+            lines.append(f"{titles[name]:{width}}  {value:8.3f}  {self.with_evidence[name]:8.3f}")
         return "\n".join(lines)
 
     def json(self) -> str:
@@ -80,10 +86,13 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
 
     Parameters
     ----------
-    suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects.
+    suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects; of
+        sequences with the field objects.
     predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
         `mask` (N, row, column) whether an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
-        frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. docs/datasets.md defines them.
+        frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. Of sequences `centers`
+        (N, F, K, 3) of what moves and, if they are to be scored, its `velocities` (N, F, K, 3) in m/s.
+        docs/datasets.md defines them.
     split : the split whose scenes must all be predicted.
 
     Raises
@@ -96,18 +105,30 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
         "predictions", predictions, str, os.PathLike, Mapping, remedy="an .npz file, a Zarr group, or a mapping"
     )
     check_kind("split", split, str, remedy="such as 'test'")
-    truth = read_truth(suite, split)
+    manifest = read_manifest(suite)
+    of = _of_scenes if manifest.frames is None else _of_sequences
+    scenes, evident, every, with_evidence = of(suite, manifest, predictions, split)
+    named, published = str(manifest.config["name"]), is_published(suite, manifest)
+    return Scores(named, published, split, scenes, evident, every, with_evidence)
+
+
+Found = tuple[int, int, Metrics, Metrics]
+"""Number of scenes, of those with evidence, and the metrics over everything and over what has evidence."""
+
+
+def _of_scenes(dataset: str | Path, manifest: Manifest, predictions: Any, split: str) -> Found:
+    truth = read_truth(dataset, manifest, split)
     found = read_predictions(predictions, truth)
     each, centers = _by_scene(found, truth), _center_errors(found, truth)
-    return Scores(
-        str(truth.manifest.config["name"]),
-        is_published(Path(suite), truth.manifest),
-        split,
-        len(truth.scenes),
-        int(truth.all_evident.sum()),
-        _metrics(found, truth, each, centers, False),
-        _metrics(found, truth, each, centers, True),
-    )
+    every, evident = (_metrics(found, truth, each, centers, only) for only in (False, True))
+    return len(truth.scenes), int(truth.all_evident.sum()), every, evident
+
+
+def _of_sequences(dataset: str | Path, manifest: Manifest, predictions: Any, split: str) -> Found:
+    truth = tracks.read_tracks(dataset, manifest, split)
+    errors = tracks.track_errors(predictions, truth)
+    every, evident = (tracks.track_metrics(errors, only) for only in (False, True))
+    return len(truth.scenes), int((truth.evident | ~truth.moves).all(axis=1).sum()), every, evident
 
 
 def _metrics(

@@ -1,7 +1,9 @@
-"""The truth that predictions are compared with: the labels of a split, and which objects have evidence."""
+"""The truth that predictions of single scenes are compared with: the labels of a split, and which objects have
+evidence."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from datagen.errors import InputError
 from datagen.labels.boxes import objects_seen
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.checks import as_given
-from datagen.store import DatasetReader, Manifest, read_manifest
+from datagen.store import DatasetReader, Manifest
 from datagen.store.location import location_of
 from datagen.store.summaries import LEAST
 from datagen.store.table import read_table
@@ -71,28 +73,36 @@ class Truth:
         return np.asarray((self.evident | np.isnan(self.sigma)).all(axis=1))
 
 
-def read_truth(dataset: str | Path, split: str) -> Truth:
-    """The labels of one split of a dataset.
-
-    Raises `InputError` if it is no dataset, has no such split, or lacks labels that scores need; `CheckError` if it
-    is damaged.
-    """
-    root, manifest = location_of(dataset), read_manifest(dataset)
-    if manifest.frames is not None:
-        raise InputError(f"{dataset}: holds sequences, which cannot be scored; build one without sequence")
-    fields = manifest.schema.by_name
-    missing = [name for name in NEEDED if name not in fields]
-    if missing:
-        raise InputError(f"{dataset}: has no {', '.join(missing)}; build with store.fields depth, part_id, objects")
-    table = read_table(root, ["split", "failure"], manifest.schema.scenes)
+def scenes_of_split(dataset: str | Path, manifest: Manifest, split: str) -> list[int]:
+    """Indices of the scenes of a split that did not fail; raises `InputError` if there are none."""
+    table = read_table(location_of(dataset), ["split", "failure"], manifest.schema.scenes)
     splits = table["split"].to_pylist()
     scenes = [k for k, name in enumerate(splits) if name == split and table["failure"][k].as_py() is None]
     if not scenes:
         there = ", ".join(sorted({str(name) for name in splits if name}))
         raise InputError(f"{as_given('split', split)}: {dataset} has {there or 'no scenes'}")
-    volume = ["occupancy"] if "occupancy" in fields else []
-    reader = DatasetReader(root, manifest, [*NEEDED, *volume])
-    got: dict[str, Any] = {name: reader.read(name, scenes) for name in (*NEEDED, *volume)}
+    return scenes
+
+
+def labels_of(
+    dataset: str | Path, manifest: Manifest, scenes: Sequence[int], names: Sequence[str]
+) -> dict[str, Any]:  # fmt: skip
+    """Field → its values (N, …) in some scenes; raises `CheckError` if they are damaged."""
+    reader = DatasetReader(location_of(dataset), manifest, list(names))
+    return {name: reader.read(name, scenes) for name in names}
+
+
+def read_truth(dataset: str | Path, manifest: Manifest, split: str) -> Truth:
+    """The labels of one split of a dataset of single scenes.
+
+    Raises `InputError` if it has no such split, or lacks labels that scores need; `CheckError` if it is damaged.
+    """
+    fields = manifest.schema.by_name
+    missing = [name for name in NEEDED if name not in fields]
+    if missing:
+        raise InputError(f"{dataset}: has no {', '.join(missing)}; build with store.fields depth, part_id, objects")
+    scenes = scenes_of_split(dataset, manifest, split)
+    got = labels_of(dataset, manifest, scenes, [*NEEDED, *(["occupancy"] if "occupancy" in fields else [])])
     there = got["object_part"] >= 0
     shows = objects_seen(got["part_id"], got["object_part"])
     view = np.linalg.norm(got["hidden_view"][:, 1:], axis=-1)

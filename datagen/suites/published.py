@@ -26,6 +26,8 @@ from datagen.store.scenes import Scenes
 
 SCENES = 4
 """First scenes of a suite that are published: enough to tell other rooms or other light, and made in seconds."""
+SAME_M = 1e-5
+"""Distance up to which two places are the same, metres: they are stored in single precision."""
 
 _Count = Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)]
 
@@ -37,11 +39,13 @@ class PublishedScene:
     room : what was drawn for the room, by the names of `samples.parquet`.
     counts : expected counts of all pixels and laser points in spans of time (`counts_in_spans`).
     light_error : claimed relative L2 error of the light that they were made from.
+    ways : of sequences right, up and depth of the middle of each object's box in each frame, metres; else empty.
     """
 
     room: dict[str, Parameter]
     counts: tuple[_Count, ...]
     light_error: _Count
+    ways: tuple[pydantic.FiniteFloat, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -74,13 +78,17 @@ def room_of(config: DatasetConfig, index: int) -> dict[str, Parameter]:
 
 
 def _published_scene(config: DatasetConfig, index: int) -> PublishedScene:
-    with_light = config.store.model_copy(update={"fields": ("transient",)})
+    moves = config.sequence is not None
+    with_light = config.store.model_copy(update={"fields": ("transient", "objects") if moves else ("transient",)})
     sample = simulate_sample(config.model_copy(update={"store": with_light}), index)
     time = config.capture.time.axis()
     detector = detector_for(config.detector, config.seed, index, time)
-    counts = counts_in_spans(expected_histogram(sample.arrays["transient"], time, *detector, approximate=True))
+    light = np.maximum(sample.arrays["transient"].reshape(-1, *config.capture.shape), 0.0)
+    expected = [expected_histogram(frame, time, *detector, approximate=True) for frame in light]
+    counts = counts_in_spans(np.array(expected))
     error = float(sample.parameters["transient.relative_error"])
-    return PublishedScene(room_of(config, index), tuple(counts.round(3).tolist()), error)
+    ways = sample.arrays["object_box_center"].ravel().tolist() if moves else ()
+    return PublishedScene(room_of(config, index), tuple(counts.round(3).tolist()), error, tuple(ways))
 
 
 def check_agreement(dataset: str | Path, published: Published) -> Agreement:
@@ -98,6 +106,12 @@ def check_agreement(dataset: str | Path, published: Published) -> Agreement:
                 raise CheckError(
                     f"{dataset}: scene {index} has another room than published by datagen {published.datagen}: "
                     f"{name} = {own}, published {value}"
+                )
+        if scene.ways:
+            own_ways = content.arrays["object_box_center"].ravel()
+            if not np.allclose(own_ways, scene.ways, rtol=0, atol=SAME_M):
+                raise CheckError(
+                    f"{dataset}: objects of scene {index} go other ways than published by datagen {published.datagen}"
                 )
         due.append(np.array(scene.counts))
         found.append(counts_in_spans(content.arrays["histogram"]))

@@ -17,6 +17,7 @@ from datagen.cli import run
 from datagen.labels.frame import image_points
 from datagen.scoring.metrics import chamfer_distance, ssim
 from datagen.scoring.truth import Truth, read_truth
+from datagen.store import read_manifest
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -31,7 +32,7 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def truth(suite: Path) -> Truth:
-    return read_truth(suite, "test")
+    return read_truth(suite, read_manifest(suite), "test")
 
 
 @pytest.fixture

@@ -6,11 +6,13 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from datasets import write_dataset
 
 import datagen as dg
 from datagen.cli import run
+from datagen.config import config_from_mapping
 from datagen.config.yaml_text import parse_yaml
 from datagen.store import read_manifest
 from datagen.suites import SUITES, Suite, catalogue, is_published, published, suite_of
@@ -32,12 +34,13 @@ splits: {train: 0.6, val: 0.1, test: 0.3}
 
 def test_rooms_of_every_suite_are_the_published_ones() -> None:
     """Where they change by intention the suite gets another number, and `tests/publish_suites.py` publishes it."""
-    assert len(SUITES) == 7
+    assert len(SUITES) == 8
     for name, suite in SUITES.items():
         config = suite.config
         assert re.fullmatch(r"[a-z]+-\d+", name) and config.name == name
         assert len(suite.published.scenes) == published.SCENES
-        assert {"histogram", "depth", "part_id", "occupancy", "objects"} <= set(config.store.fields)
+        scored = {"histogram", "objects"} | ({"depth", "part_id", "occupancy"} if config.sequence is None else set())
+        assert scored <= set(config.store.fields)
         assert config.splits.shares == (0.6, 0.1, 0.3)
         # Seeds are not shared, so that no room is in two sets.
         assert sum(other.config.seed == config.seed for other in SUITES.values()) == 1
@@ -108,6 +111,27 @@ def test_rooms_agree_to_rounding(tiny: Path) -> None:
         assert not is_published(tiny / "built", read_manifest(tiny / "built"))
     finally:
         known.write(tiny / "tiny-1.json")
+
+
+def test_ways_of_sequences_agree(tmp_path: Path) -> None:
+    """Which the drawn numbers of a room do not tell."""
+    config = config_from_mapping({
+        **parse_yaml(TINY, "tiny"), "scenes": published.SCENES, "sequence": {"frames": 3, "rate_hz": 4},
+        "scene": {"layout": {"kind": "isolated_wall"},
+                  "contents": [{"kind": "box", "motion": {"kind": "walk", "speed_m_s": 0.5}}]},
+        "transport": {"target": 0.2}, "detector": {"cycles": 20_000, "photons_per_pulse": 1e9},
+        "store": {"fields": ["histogram", "objects"]},
+    })  # fmt: skip
+    known = published.publish(config)
+    built = write_dataset(config, tmp_path / "built")
+    agreement = check_agreement(built, known)
+    assert 0 < agreement.difference <= agreement.allowed < 0.5
+    centers = [np.reshape(scene.ways, (3, -1, 3))[:, 0] for scene in known.scenes]
+    assert all(np.linalg.norm(np.diff(of, axis=0), axis=1) == pytest.approx(0.125, abs=0.03) for of in centers)
+    backward = tuple(centers[1][::-1].ravel().tolist())
+    other = replace(known, scenes=(known.scenes[0], replace(known.scenes[1], ways=backward)))
+    with pytest.raises(dg.CheckError, match="objects of scene 1 go other ways than published by datagen"):
+        check_agreement(built, other)
 
 
 def test_another_number_of_scenes_or_division_is_no_published_suite(tiny: Path) -> None:
