@@ -365,7 +365,8 @@ def score(suite: str, predictions: str, split: str, as_json: bool) -> None:
 @click.option("--split", default="test", show_default=True, help="Scenes that are predicted.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the training.")
 def baseline(method: str, suite: str, out: str, split: str, seed: int) -> None:
-    """Predict SUITE by METHOD (mean, backprojection or network) into the file OUT, which `datagen score` reads."""
+    """Predict SUITE by METHOD (mean, backprojection or network; of sequences mean, tracking or network) into the file
+    OUT, which `datagen score` reads."""
     from datagen.baselines import write_baseline
 
     say(write_baseline(method, suite, out, split, seed))

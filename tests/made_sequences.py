@@ -12,9 +12,15 @@ FRAMES = 5
 
 
 def made_sequences(
-    path: Path, scenes: int = 10, walkers: int = 2, albedo: Any = 0.8, side: int = 3, photons: float = 1e9
+    path: Path,
+    scenes: int = 10,
+    walkers: int = 2,
+    albedo: Any = 0.8,
+    side: int = 3,
+    cycles: int = 100_000,
+    photons: float = 1e9,
 ) -> Path:
-    """Boxes of one albedo, or of albedos of a distribution, seen by side × side laser points for 0.2 s a frame."""
+    """Boxes of one albedo, or of albedos of a distribution, seen by side × side laser points."""
     size = {"width_m": 0.4, "depth_m": 0.3, "height_m": {"uniform": [0.5, 0.8]}}
     walk = {"kind": "walk", "speed_m_s": 1.0, "leg_m": 0.8}
     config = {
@@ -30,8 +36,8 @@ def made_sequences(
         },
         "capture": {"scan": {"rows": side, "columns": side}, "time": {"bins": 96, "bin_width_ps": 200}},
         "transport": {"target": 0.1},
-        "detector": {"cycles": 100_000, "photons_per_pulse": photons},
-        "store": {"fields": ["histogram", "objects"]},
+        "detector": {"cycles": cycles, "photons_per_pulse": photons},
+        "store": {"fields": ["histogram", "objects"], "histogram_dtype": "uint32"},
         "splits": {"train": 0.5, "val": 0.1, "test": 0.4},
     }  # fmt: skip
     dg.build(config_from_mapping(config), path, progress=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from datagen.baselines.scenes import SuiteScenes, suite_scenes
+from datagen.baselines.walks import Walks, read_walks
 from datagen.errors import InputError
 from datagen.labels.frame import ViewFrame, image_points
 from datagen.labels.volumes import VoxelGrid
 from datagen.reconstruction.backprojection import reconstructed, scan_of
 from datagen.records import Rectangle
-from datagen.records.arrays import Bools, Floats
+from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.checks import as_given, check_seed
+from datagen.store import read_manifest
 from datagen.store.files import write_atomically
 from datagen.store.scenes import Scenes
 
@@ -92,31 +94,89 @@ BASELINES: dict[str, Callable[[SuiteScenes, SuiteScenes, int], Predicted]] = {
 """Name → function of (training scenes, scenes to predict, seed)."""
 
 
+def mean_walk(train: Walks, wanted: Walks, seed: int) -> Predicted:
+    """Predictions that ignore the measurement: the mean place and velocity of the walkers of training."""
+    return _track(wanted, train.centers.mean(axis=(0, 1)), train.velocities.mean(axis=(0, 1)))
+
+
+def tracking(train: Walks, wanted: Walks, seed: int) -> Predicted:
+    """Predictions by backprojection of what changes, and a Kalman filter."""
+    from datagen.baselines.tracking import followed
+
+    return _raised(train, wanted, *followed(train, wanted))
+
+
+def walk_network(train: Walks, wanted: Walks, seed: int) -> Predicted:
+    """Predictions by a small network on floor plans that is trained on the suite's own training sequences."""
+    from datagen.baselines.plan_network import learnt_ways
+
+    return _raised(train, wanted, *learnt_ways(train, wanted, seed))
+
+
+def _raised(train: Walks, wanted: Walks, places: Floats, velocities: Floats) -> Predicted:
+    """Predictions of one track along right and depth (N, F, 2), as high as the walkers of training in the mean."""
+    up = np.full(places.shape[:2], train.centers[..., 1].mean())
+    moved = np.stack([velocities[..., 0], np.zeros_like(up), velocities[..., 1]], axis=-1)
+    return _track(wanted, np.stack([places[..., 0], up, places[..., 1]], axis=-1), moved)
+
+
+def _track(wanted: Walks, centers: Floats, velocities: Floats) -> Predicted:
+    """The one track of each sequence, whose centres and velocities are (N, F, 3), or (3,) for all."""
+    both = (np.broadcast_to(of, wanted.centers.shape)[:, :, None] for of in (centers, velocities))
+    return dict(zip(("centers", "velocities"), both, strict=True))
+
+
+OF_SEQUENCES: dict[str, Callable[[Walks, Walks, int], Predicted]] = {
+    "mean": mean_walk, "tracking": tracking, "network": walk_network,
+}  # fmt: skip
+"""Name → function of (training sequences, sequences to predict, seed)."""
+
+
 def write_baseline(method: str, suite: str | Path, out: str | Path, split: str = "test", seed: int = 0) -> Path:
     """Predict the scenes of a split, and write an `.npz` file that `datagen score` reads; returns its path.
 
-    method : `mean`, `backprojection` or `network`.
+    method : `mean`, `backprojection` or `network`; of sequences `mean`, `tracking` or `network`.
 
     Raises `InputError` for an unknown method, a seed that is none, and a folder that is no dataset or lacks fields
     that are needed.
     """
-    if method not in BASELINES:
-        raise InputError(f"{as_given('method', method)}: must be one of {', '.join(BASELINES)}")
+    check_seed(seed)
+    if method not in {*BASELINES, *OF_SEQUENCES}:
+        raise InputError(f"{as_given('method', method)}: must be one of {', '.join({**BASELINES, **OF_SEQUENCES})}")
     path = Path(out)
     if path.suffix != ".npz":
         raise InputError(
             f"{as_given('out', str(out))}: predictions are a NumPy archive; name a file that ends in .npz"
         )
-    check_seed(seed)
-    train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
-    arrays: dict[str, Any] = {"scene": wanted.scene, "suite": str(Scenes(suite).manifest.config["name"])}
-    for name, values in BASELINES[method](train, wanted, seed).items():
+    manifest = read_manifest(suite)
+    scene, found = (_of_scenes if manifest.frames is None else _of_sequences)(method, suite, split, seed)
+    arrays: dict[str, Any] = {"scene": scene, "suite": str(manifest.config["name"])}
+    for name, values in found.items():
         arrays[name] = values.astype("f4") if values.dtype.kind == "f" else values
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, content.getvalue())
     return path
+
+
+def _of_scenes(method: str, suite: str | Path, split: str, seed: int) -> tuple[Ints, Predicted]:
+    """Indices of the scenes of a split, and what a baseline predicts for them."""
+    _check_fits(method, BASELINES, f"{suite} holds single scenes")
+    train, wanted = suite_scenes(suite, "train"), suite_scenes(suite, split)
+    return wanted.scene, BASELINES[method](train, wanted, seed)
+
+
+def _of_sequences(method: str, suite: str | Path, split: str, seed: int) -> tuple[Ints, Predicted]:
+    """Indices of the sequences of a split, and what a baseline predicts for them."""
+    _check_fits(method, OF_SEQUENCES, f"{suite} holds sequences")
+    train, wanted = read_walks(suite, "train"), read_walks(suite, split)
+    return wanted.scene, OF_SEQUENCES[method](train, wanted, seed)
+
+
+def _check_fits(method: str, known: Collection[str], why: str) -> None:
+    if method not in known:
+        raise InputError(f"{as_given('method', method)}: {why}; must be one of {', '.join(known)}")
 
 
 def centers_of(depth: Floats, mask: Bools, view: Floats, least: int = 1) -> Floats:

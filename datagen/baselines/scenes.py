@@ -47,8 +47,6 @@ def suite_scenes(root: str | Path, split: str) -> SuiteScenes:
     Raises `InputError` if `root` is no dataset, has no such split, or lacks labels that are needed.
     """
     data = TransientDataset(root, ("histogram",), split=split)
-    if "laser_time" in data.fields:
-        raise InputError(f"{root}: holds sequences, and baselines see single scenes; build one without sequence")
     missing = [name for name in FIELDS if name not in data.fields]
     if missing:
         raise InputError(

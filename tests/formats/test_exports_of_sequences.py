@@ -10,7 +10,6 @@ import pytest
 import trimesh
 from datasets import write_dataset
 
-from datagen.baselines.scenes import suite_scenes
 from datagen.config import config_from_mapping
 from datagen.errors import InputError
 from datagen.formats import export
@@ -73,5 +72,3 @@ def test_what_does_not_fit_is_one_line(walks: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=words):
             export(walks, tmp_path / "no", **options)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="holds sequences"):
-        suite_scenes(walks, "train")
