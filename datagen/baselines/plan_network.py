@@ -14,7 +14,7 @@ from datagen.records.arrays import Floats, Ints
 WIDTH = 16
 REACHES = (1, 2, 4, 2, 1)
 """Channels of a layer, and the distances in voxels of the places that each layer looks at."""
-EPOCHS = 60
+EPOCHS = 30
 BATCH = 8
 RATE = 4e-3
 """Epochs, sequences a batch, and the largest learning rate. Any other value gives another baseline, whose scores are

@@ -114,10 +114,8 @@ def walk_network(train: Walks, wanted: Walks, seed: int) -> Predicted:
 
 
 def _raised(train: Walks, wanted: Walks, places: Floats, velocities: Floats) -> Predicted:
-    """Predictions of one track along right and depth (N, F, 2), as high as the walkers of training in the mean."""
-    up = np.full(places.shape[:2], train.centers[..., 1].mean())
-    moved = np.stack([velocities[..., 0], np.zeros_like(up), velocities[..., 1]], axis=-1)
-    return _track(wanted, np.stack([places[..., 0], up, places[..., 1]], axis=-1), moved)
+    """Predictions of one track along right and depth (N, F, 2), which goes level."""
+    return _track(wanted, train.raised(places), np.insert(velocities, 1, 0.0, axis=-1))
 
 
 def _track(wanted: Walks, centers: Floats, velocities: Floats) -> Predicted:

@@ -34,6 +34,7 @@ class Walks:
         `PLANS`.
     low, high : (N, 2) corners of the plans along right and depth of the label frame, metres.
     centers, velocities : (N, F, 3) of the object's box in the label frame, metres and metres a second.
+    sigma : (N,) significance of the change by the object, the median over the frames after the first.
     step_s : seconds from one frame to the next.
     """
 
@@ -44,6 +45,7 @@ class Walks:
     high: Floats
     centers: Floats
     velocities: Floats
+    sigma: Floats
     step_s: float
 
     @property
@@ -59,7 +61,12 @@ class Walks:
         low, high = (np.repeat(of, frames, axis=0) for of in (self.low, self.high))
         centers, velocities = (of.reshape(-1, 1, 3) for of in (self.centers, self.velocities))
         plans = self.plans.reshape(-1, 1, *self.plans.shape[2:])
-        return Walks(self.root, np.repeat(self.scene, frames), plans, low, high, centers, velocities, self.step_s)
+        scene, sigma = np.repeat(self.scene, frames), np.repeat(self.sigma, frames)
+        return Walks(self.root, scene, plans, low, high, centers, velocities, sigma, self.step_s)
+
+    def raised(self, places: Floats) -> Floats:
+        """(…, 3) right, up and depth of places (…, 2), as high as the objects of these walks in the mean, metres."""
+        return np.insert(places, 1, self.centers[..., 1].mean(), axis=-1)
 
     def metres(self, shares: Floats) -> Floats:
         """(N, F, 2) right and depth in the label frame of places in the plans, metres: the inverse of `shares`."""
@@ -80,7 +87,7 @@ def read_walks(root: str | Path, split: str, minus: str = "mean") -> Walks:
     if missing:
         raise InputError(f"{root}: has no {', '.join(missing)}; store.fields must have histogram and objects")
     data = TransientDataset(root, FIELDS, split=split, representation="volume", voxels=VOXELS, minus=minus)
-    plans, corners, tracks = [], [], []
+    plans, corners, tracks, sigma = [], [], [], []
     for number in range(len(data)):
         item = {name: np.asarray(values) for name, values in data[number].items()}
         plans.append(floor_plans(item["volume"]))
@@ -94,11 +101,13 @@ def read_walks(root: str | Path, split: str, minus: str = "mean") -> Walks:
                 "in which one does"
             )
         tracks.append([item[name][:, moves[0]] for name in ("object_box_center", "object_velocity")])
+        sigma.append(np.median(item["object_change"][1:, moves[0]]))
     low, high = np.array(corners).swapaxes(0, 1)
     centers, velocities = np.array(tracks, np.float64).swapaxes(0, 1)
     sequence = read_manifest(root).config["sequence"]
     return Walks(
-        Path(root), data.scenes, np.array(plans), low, high, centers, velocities, 1.0 / float(sequence["rate_hz"])
+        Path(root), data.scenes, np.array(plans), low, high, centers, velocities, np.array(sigma, np.float64),
+        1.0 / float(sequence["rate_hz"]),
     )  # fmt: skip
 
 

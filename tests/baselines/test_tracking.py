@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
 from dataclasses import replace
 from functools import partial
@@ -12,8 +13,10 @@ import pytest
 import torch
 from made_sequences import FRAMES, made_sequences
 from made_suite import made_suite
+from PIL import Image
 
 import datagen as dg
+from datagen.baselines import write_baseline
 from datagen.baselines.plan_network import PlanNetwork, learnt_ways
 from datagen.baselines.tracking import STEP_M, followed, measured
 from datagen.baselines.walks import PLANS, VOXELS, Walks, floor_plans, read_walks
@@ -22,6 +25,7 @@ from datagen.records.arrays import Floats
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
+SCRIPT = Path(__file__).parents[2] / "examples" / "tracking_training.py"
 LOW, HIGH = np.array([-2.0, 0.0]), np.array([2.0, 3.0])
 
 
@@ -38,7 +42,9 @@ def walks(count: int, seed: int, brightness: float = 12.0, frames: int = 6) -> W
     centers = np.insert(places, 1, -0.4, axis=2)
     velocities = np.insert(np.broadcast_to(speed, places.shape), 1, 0.0, axis=2)
     corners = (np.tile(of, (count, 1)) for of in (LOW, HIGH))
-    return Walks(Path(), np.arange(count), plans.astype(np.float32), *corners, centers, velocities, 0.1)
+    return Walks(
+        Path(), np.arange(count), plans.astype(np.float32), *corners, centers, velocities, np.ones(count), 0.1
+    )
 
 
 def off(found: Floats, true: Floats) -> float:
@@ -148,6 +154,30 @@ def test_the_command_writes_what_is_scored(
         median[method] = scores.all["center_median_m"]
     # Changes of many σ.
     assert scores.scenes_with_evidence == scores.scenes and median["tracking"] < 0.6 * median["mean"]
+
+
+def test_the_example_prints_scores_and_draws(
+    suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its figures are those of `datagen score`."""
+    monkeypatch.syspath_prepend(str(SCRIPT.parent))
+    arguments = [str(tmp_path / "picture.png"), "--dataset", str(suite), "--epochs", "2"]
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
+    threads = torch.get_num_threads()
+    try:
+        runpy.run_path(str(SCRIPT))["main"]()
+    finally:
+        torch.set_num_threads(threads)
+    lines = capsys.readouterr().out.splitlines()
+    rows = {cells[1].strip(): cells[2:5] for line in lines if len(cells := line.split("|")) > 5}
+    for name, method in (("always the mean", "mean"), ("Kalman filter", "tracking")):
+        write_baseline(method, suite, tmp_path / "p.npz")
+        scores = dg.score(suite, tmp_path / "p.npz").all
+        due = [f"{scores[of]:.2f}" for of in ("center_median_m", "center_p90_m")]
+        assert [cell.strip() for cell in rows[name]] == [*due, f"{scores['center_within_25_cm']:.0%}"]
+    assert {"network", "network, single frames"} <= rows.keys()
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert picture.width == 880
 
 
 def test_what_does_not_fit_is_one_line(
