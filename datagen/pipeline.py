@@ -129,11 +129,12 @@ class FrameTimes:
     """When the frames of a sequence are measured, seconds since the first one began.
 
     points : (F, L) middle of the exposure of each laser point. middles : (F,) of each frame, which labels are made
-    for.
+    for. exposure_s : how long each laser point is measured.
     """
 
     points: Floats
     middles: Floats
+    exposure_s: float
 
     @classmethod
     def of(cls, clock: Clock, capture: Capture, spad: Spad, exposure: Exposure) -> FrameTimes:
@@ -148,7 +149,7 @@ class FrameTimes:
             message = str(error).replace("Clock.", "sequence.").replace(" fits for each", " of detector.cycles fit")
             raise InputError(message) from None
         check_carry_over(spad, exposure)
-        return cls(times, clock.middles(points, exposure_s))
+        return cls(times, clock.middles(points, exposure_s), exposure_s)
 
 
 @dataclass(frozen=True)
@@ -319,7 +320,7 @@ def simulated_frames(setup: Setup) -> LightOfFrames:
             config, setup.index, scene, capture, effects, setup.spad, setup.exposure, frames=frames
         )  # fmt: skip
         lit = replace(lit, captures=setup.captures)
-        light = lit.frames(times.points, apart="moving_transient" in setup.fields)
+        light = lit.frames(times.points, times.exposure_s, apart="moving_transient" in setup.fields)
         if np.isnan(light.laser_points).all():
             raise InputError("laser: its rays meet no surface of the scene; aim Laser.targets at the relay wall")
     background = None
@@ -465,7 +466,9 @@ def labels_of_frames(
     without = list[tuple[str, SequenceLight]]()
     if "presence" in setup.fields:
         with _timed(setup.seconds, "presence"):
-            without = [(name, light.lit.frames_without(name, times.points)) for name in scene.objects]
+            without = [
+                (name, light.lit.frames_without(name, times.points, times.exposure_s)) for name in scene.objects
+            ]
     every, evidence = list[dict[str, NDArray[np.generic]]](), list[dict[str, Scalar]]()
     for frame in range(frames.frames):
         at, one = setup.at(frame), frames.frame(frame)

@@ -166,14 +166,15 @@ def _of_changes(
     if frames > 2 * PAIRS:
         before = (np.arange(PAIRS) + 0.5) * (frames - 1) / PAIRS
         chosen, step = np.stack([before, before + 1], axis=1).astype(np.int64).reshape(-1), 2
-    times = times_of(capture, config.clock, None)[chosen]
+    all_times, exposure_s = times_of(capture, config.clock, None)
+    times = all_times[chosen]
     effects = transport_effects(config, scene.at(config.clock.duration_s / 2), capture, index)
     longest = replace(exposure, cycles=_most_cycles(request, exposure.repetition_rate_hz, longest_s))
     lit = light_of(config, index, scene, capture, effects, spad, longest, frames=frames)
     way = sensor_way(config, scene, capture, index)
     if way is not None:
         lit = replace(lit, captures=way.captures(capture, times.mean(axis=1)))
-    light = lit.frames(times)
+    light = lit.frames(times, exposure_s)
     counts, squares = list[Floats](), list[Floats]()
     every = change_squares(scene, light, replace(spad, counter_max=None), exposure, way is not None)
     for both, each, _ in islice(every, None, None, step):

@@ -42,15 +42,15 @@ class Light:
         """The transient of the scene."""
         return transient_of(self.scene, self.capture, self.accuracy, seed=self.seed, caster=self.caster)
 
-    def frames(self, times_s: Floats, apart: bool = False) -> SequenceLight:
-        """The light of the frames of a sequence, whose laser points are measured at `times_s` (F, L). apart : whether
-        what is by moving parts is told apart in all of it, as in `light_of_sequence`."""
+    def frames(self, times_s: Floats, exposure_s: float, apart: bool = False) -> SequenceLight:
+        """The light of the frames of a sequence, whose laser points are measured for `exposure_s` about `times_s`
+        (F, L). apart : whether what is by moving parts is told apart in all of it, as in `light_of_sequence`."""
         captures = [self.capture] * len(times_s) if self.captures is None else self.captures
-        return light_of_sequence(self.scene, captures, times_s, self.accuracy, self.seed, apart)
+        return light_of_sequence(self.scene, captures, times_s, exposure_s, self.accuracy, self.seed, apart)
 
-    def frames_without(self, name: str, times_s: Floats) -> SequenceLight:
+    def frames_without(self, name: str, times_s: Floats, exposure_s: float) -> SequenceLight:
         """The light of the frames without one part, from the same random numbers."""
-        return replace(self, scene=self.scene.without(name)).frames(times_s)
+        return replace(self, scene=self.scene.without(name)).frames(times_s, exposure_s)
 
     def background(self) -> Transient:
         """The transient of the scene without its objects, from the same random numbers: other paths stay the same."""

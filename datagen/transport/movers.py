@@ -29,8 +29,9 @@ class Mover(NamedTuple):
     """A part that moves.
 
     name, part : its name, and its number in the scene of all parts. vertices, triangles : (V, 3), (T, 3) its mesh, as
-    it stands at time 0. pose : (F, L, 5) for each frame and laser point cosine and sine of the turn, and the shift,
-    metres, that take the mesh to where it is then. embree : the mesh, in the frame of the static room.
+    it stands at time 0. pose : (S, F, L, 5) at S instants of each frame's and laser point's exposure: cosine and
+    sine of the turn, and the shift, metres, that take the mesh to where it is then. embree : the mesh, in the frame
+    of the static room.
     """
 
     name: str
@@ -53,8 +54,8 @@ def pose_of(moves: Moves) -> Floats:
     return np.concatenate([turn, moves.shifts_m], axis=-1)
 
 
-def movers_of(scene: Scene, caster: Raycaster, times: Floats, first: int) -> list[Mover]:
-    """The parts of a scene that move, at times (F, L).
+def movers_of(scene: Scene, caster: Raycaster, instants: Floats, first: int) -> list[Mover]:
+    """The parts of a scene that move, at instants (S, F, L).
 
     caster : of the static room. first : the number of the first of them in the scene of all parts.
     """
@@ -64,7 +65,7 @@ def movers_of(scene: Scene, caster: Raycaster, times: Floats, first: int) -> lis
         vertices, triangles = scene.vertices[used], triangles.reshape(-1, 3)
         embree = EmbreeScene()
         TriangleMesh(embree, caster._scaled(vertices), triangles.astype(np.int32))
-        pose = pose_of(scene.moves(name, times))
+        pose = pose_of(scene.moves(name, instants))
         found.append(Mover(name, first + number, vertices, triangles.astype(np.int64), pose, embree))
     return found
 

@@ -4,6 +4,9 @@ The part's mesh stays where it is at time 0. Laser points and FoV points are mov
 that the part has when the laser point is measured. So each laser point may have its own time. Elements, which are cut
 in the frame of the part, get the same random numbers in all frames, and change only as far as the geometry does.
 
+Where things move within an exposure its light is the mean over instants. They share its elements: each takes fewer,
+with other random numbers, so that many instants cost hardly more than one.
+
 Shadow rays are tested in the part's own mesh first, and then carried to where the part is: in the static room, and in
 the frames of other movers.
 """
@@ -76,9 +79,10 @@ class OwnLight:
         """
         cuts, shape = self.cuts, jobs.frame.shape
         light, outside = np.zeros((2, *shape, cuts.problem.capture.time.bins)), np.zeros((2, *shape))
-        asked = Asked(
-            np.full(len(self.slot), delta), self.slot, np.full(len(self.slot), error), cuts.straight, 1.0
-        )  # fmt: skip
+        instants = len(self.mover.pose)
+        # Of n instants with noise of their own each may have √n of the error, and n times as much in an element.
+        coarse, noisy = np.full(len(self.slot), delta * instants), np.full(len(self.slot), error * instants**0.5)
+        asked = Asked(coarse, self.slot, noisy, cuts.straight, 1.0)
         squares = cuts.squares[jobs.pixel]
         for count in np.unique(squares):
             every = np.flatnonzero(squares == count)
@@ -89,22 +93,23 @@ class OwnLight:
                 pool = FovClusters.of(cuts.problem, pixels, int(count), rng)
                 both, over = np.zeros((len(some), light.shape[3])), np.zeros(len(some))
                 for r in range(2):
-                    seed = cuts.seed(5, number, self.mover.part, first, r)
                     for f in range(shape[0]):
                         both[:], over[:] = 0.0, 0.0
-                        self._add(own, f, of, pool, asked, r, seed, both, over)
-                        light[r, f, some], outside[r, f, some] = both, over
+                        for s in range(instants):
+                            seed = cuts.seed(5, number, self.mover.part, first, r + 2 * s)
+                            self._add(own, f, s, of, pool, asked, r, seed, both, over)
+                        light[r, f, some], outside[r, f, some] = both / instants, over / instants
         return light, outside
 
     def _add(
-        self, jobs: Jobs, turn: int, of: Ints, pool: FovClusters, asked: Asked, replicate: int, seed: int,
-        light: Floats, outside: Floats,
+        self, jobs: Jobs, turn: int, instant: int, of: Ints, pool: FovClusters, asked: Asked, replicate: int,
+        seed: int, light: Floats, outside: Floats,
     ) -> None:  # fmt: skip
         """Adds a replicate of the light of some histograms, each in its frame of a turn, to light (n, T) and outside
-        (n,). of : (n,) the pixel's number in `pool`."""
+        (n,), as at an instant of each exposure. of : (n,) the pixel's number in `pool`."""
         cuts, n, frame = self.cuts, len(of), jobs.frame[turn]
-        pose = np.ascontiguousarray(self.mover.pose[frame, jobs.laser])
-        others = [np.ascontiguousarray(other.pose[frame, jobs.laser]) for other in self.others]
+        at = (instant, frame, jobs.laser)
+        pose, *others = (np.ascontiguousarray(mover.pose[at]) for mover in (self.mover, *self.others))
         room = cuts.room._replace(
             lasers=_lasers_before(cuts.room.lasers, jobs.laser, pose), power=cuts.room.power[jobs.laser]
         )

@@ -15,12 +15,13 @@ from datagen.errors import InputError, InputWarning, shown
 from datagen.records import Accuracy, Capture, Clock, Scene, SequenceLight, Transient
 from datagen.records.arrays import Floats, l2_norm
 from datagen.records.checks import check_kind, check_seed
-from datagen.transport.blocks import BlocksOf
 from datagen.transport.coincidence import set_apart
 from datagen.transport.cuts import FAINT, SCATTER, SHARED
-from datagen.transport.problem import Problem, components_asked
+from datagen.transport.dwell import MOST, MOST_WHOLE, instants, path_change
+from datagen.transport.problem import components_asked
 from datagen.transport.shared_light import Moving, Static, in_view, moving_light, static_of
-from datagen.transport.simulate import MET, Samples, sampled, transient_of, warnings_of
+from datagen.transport.simulate import MET, warnings_of
+from datagen.transport.whole_frames import OtherComponents, transient_of_moments
 
 
 def simulate_sequence(
@@ -32,7 +33,8 @@ def simulate_sequence(
     Three bounces of a scan with a target are simulated once for what stands, and for each frame only as far as they
     move: each laser point at its own time, with an error of `part_target` of the light that moves (docs/physics.md).
     All other light comes frame by frame, at the middle of the frame, with the same random numbers:
-    `SequenceLight.samplers` tells which.
+    `SequenceLight.samplers` tells which. Where things move by more than a quarter of a bin's path while a laser point
+    is measured, light is the mean over instants of its exposure.
 
     Parameters
     ----------
@@ -78,10 +80,10 @@ def simulate_sequence(
     accuracy = Accuracy() if accuracy is None else accuracy
     check_kind("accuracy", accuracy, Accuracy, remedy="an error to be met is Accuracy(target=0.05)")
     check_seed(seed)
-    times = times_of(captures[0], clock, exposure_s)
+    times, exposure_s = times_of(captures[0], clock, exposure_s)
     for line in warnings_of(set_apart(scene.at(0.0), captures[0]), captures[0], accuracy):
         warn(f"simulate_sequence: {line}", InputWarning, stacklevel=2)
-    return light_of_sequence(scene, captures, times, accuracy, seed)
+    return light_of_sequence(scene, captures, times, exposure_s, accuracy, seed)
 
 
 def captures_of(capture: Capture | Sequence[Capture], frames: int, called: str = "capture") -> list[Capture]:
@@ -117,8 +119,9 @@ _ALIKE: dict[str, Callable[[Capture], object]] = {
 """What the captures of all frames have in common, by name."""
 
 
-def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> Floats:
-    """(F, L) seconds at which the laser points of each frame are measured; of a flood (F, 1).
+def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> tuple[Floats, float]:
+    """(F, L) seconds, the middles of the exposures of the laser points in each frame, of a flood (F, 1); and how long
+    an exposure is, seconds.
 
     exposure_s : of a laser point; exposures fill their frames if it is None.
     """
@@ -128,15 +131,16 @@ def times_of(capture: Capture, clock: Clock, exposure_s: float | None) -> Floats
     if exposure_s is None:
         exposure_s = 1.0 / clock.rate_hz / (1 if clock.order == "together" else points)
     times = clock.times(points, exposure_s)
-    return np.asarray(np.broadcast_to(times, (clock.frames, points)))
+    return np.asarray(np.broadcast_to(times, (clock.frames, points))), exposure_s
 
 
 def light_of_sequence(
-    scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int, apart: bool = False
+    scene: Scene, captures: Sequence[Capture], times: Floats, exposure_s: float, accuracy: Accuracy, seed: int,
+    apart: bool = False,
 ) -> SequenceLight:  # fmt: skip
     """The same as `simulate_sequence`, without checks and warnings, for arguments that were checked before.
 
-    captures : one for each frame. times : (F, L) seconds.
+    captures : one for each frame. times : (F, L) seconds, the middles of exposures of `exposure_s`.
     apart : of a sensor that stands: `static` is the light of the scene without its moving parts, and `moving` what
         comes to it, also where frames do not share their light. That light is then simulated once more.
     """
@@ -145,20 +149,20 @@ def light_of_sequence(
             return _standing(scene, captures[0], times, accuracy, seed)
         light: SequenceLight | None = None
         if accuracy.target is not None and captures[0].illumination == "scan":
-            light = shared_light(scene, captures[0], times, accuracy, seed, apart)
+            light = shared_light(scene, captures[0], times, exposure_s, accuracy, seed, apart)
         if light is None:
-            light = light_of_frames(scene, captures, times, accuracy, seed)
+            light = light_of_frames(scene, captures, times, exposure_s, accuracy, seed)
             if apart:
                 light = _told_apart(light, _without_movers(scene, captures[0], accuracy, seed))
         return light
-    return light_of_frames(scene, captures, times, accuracy, seed)
+    return light_of_frames(scene, captures, times, exposure_s, accuracy, seed)
 
 
 def _without_movers(scene: Scene, capture: Capture, accuracy: Accuracy, seed: int) -> Floats:
     """(L, P, T) the light of the scene without its moving parts, with the random numbers of a frame."""
     if len(scene.moving) == len(scene.part_names):
         return np.zeros(capture.shape)
-    return _frame(scene.without(*scene.moving), capture, 0.0, accuracy, seed).total
+    return _frame(scene.without(*scene.moving), capture, np.zeros(1), accuracy, seed).total
 
 
 def _told_apart(light: SequenceLight, static: Floats) -> SequenceLight:
@@ -167,12 +171,14 @@ def _told_apart(light: SequenceLight, static: Floats) -> SequenceLight:
 
 
 def light_of_frames(
-    scene: Scene, captures: Sequence[Capture], times: Floats, accuracy: Accuracy, seed: int
+    scene: Scene, captures: Sequence[Capture], times: Floats, exposure_s: float, accuracy: Accuracy, seed: int
 ) -> SequenceLight:  # fmt: skip
-    """The light of a sequence whose frames are simulated by themselves, each at the middle of its times (F, L)."""
+    """The light of a sequence whose frames are simulated by themselves, each in an exposure about the middle of its
+    times (F, L)."""
     began = clock_time.perf_counter()
     frames = [
-        _frame(scene, capture, float(at.mean()), accuracy, seed) for capture, at in zip(captures, times, strict=True)
+        _frame(scene, capture, at, accuracy, seed)
+        for capture, at in zip(captures, _frame_instants(scene, captures[0], times, exposure_s), strict=True)
     ]
     return _of_transients(scene, times, frames, clock_time.perf_counter() - began)
 
@@ -180,7 +186,7 @@ def light_of_frames(
 def _standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int) -> SequenceLight:
     """The light of a scene in which nothing moves."""
     frames, began = len(times), clock_time.perf_counter()
-    once = _frame(scene, capture, 0.0, accuracy, seed)
+    once = _frame(scene, capture, np.zeros(1), accuracy, seed)
     light = _of_transients(scene, times, [once] * frames, clock_time.perf_counter() - began)
     return replace(
         light, static=once.total, moving=np.zeros_like(light.moving), change_stderr=np.zeros_like(light.stderr),
@@ -189,8 +195,9 @@ def _standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy,
 
 
 def shared_light(
-    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int, apart: bool = False
-) -> SequenceLight | None:
+    scene: Scene, capture: Capture, times: Floats, exposure_s: float, accuracy: Accuracy, seed: int,
+    apart: bool = False,
+) -> SequenceLight | None:  # fmt: skip
     """The light of a sequence whose static room is simulated once; None where that cannot be.
 
     Frames in which a mover stands in the device's view are simulated by themselves. apart : as in
@@ -199,7 +206,8 @@ def shared_light(
     began, components = clock_time.perf_counter(), components_asked(accuracy)
     if "primary" not in components or accuracy.target is None:
         return None
-    static = static_of(scene, capture, times, accuracy, accuracy.target * math.sqrt(1.0 / len(components)), seed)
+    every = instants(times, exposure_s, path_change(scene, capture, times, exposure_s), MOST)
+    static = static_of(scene, capture, every, accuracy, accuracy.target * math.sqrt(1.0 / len(components)), seed)
     if static is None:
         return None
     ready = clock_time.perf_counter()
@@ -208,17 +216,17 @@ def shared_light(
         return None
     others, moving = [name for name in components if name != "primary"], moving_light(static)
     light = _three_bounces(scene, times, static, moving, accuracy)
+    whole = _frame_instants(scene, capture, times, exposure_s)
     if others:
-        light = _with_others(light, scene, capture, accuracy, seed, others, apart)
+        light = _with_others(light, scene, whole, OtherComponents(capture, accuracy, seed, others), apart)
     for f in np.flatnonzero(hidden).tolist():
-        light = _with_frame(light, f, _frame(scene, capture, float(times[f].mean()), accuracy, seed))
+        light = _with_frame(light, f, _frame(scene, capture, whole[f], accuracy, seed))
     met = light.relative_error <= MET * accuracy.target
     for error in light.part_errors.values():
         met &= ~(error > MET * accuracy.each_part)
     samplers = {name: light.samplers[name] for name in components}
     if hidden.any():
-        whole = f"; {hidden.sum()} frames by themselves, in which a mover is in the device's view"
-        samplers["primary"] += whole
+        samplers["primary"] += f"; {hidden.sum()} frames by themselves, in which a mover is in the device's view"
     seconds = {"static": ready - began, "moving": clock_time.perf_counter() - ready}
     return replace(light, met_target=met, samplers=samplers, seconds=seconds)
 
@@ -251,51 +259,42 @@ def _three_bounces(scene: Scene, times: Floats, static: Static, moving: Moving, 
 
 
 def _with_others(
-    light: SequenceLight, scene: Scene, capture: Capture, accuracy: Accuracy, seed: int, names: Sequence[str],
-    apart: bool,
+    light: SequenceLight, scene: Scene, whole: Floats, others: OtherComponents, apart: bool
 ) -> SequenceLight:  # fmt: skip
-    """The light with further components: of each frame by itself, at the middle of its times, with the same random
-    numbers and the effort of the first frame. apart : whether those of the scene without its moving parts, with these
-    random numbers, too, become static light."""
-    first: Samples | None = None
-    before, shape = np.zeros(0), light.static.shape
+    """The light with further components: of each frame by itself, at its instants, with the same random numbers.
+
+    whole : (F, S) instants, seconds. apart : whether those of the scene without its moving parts, with these random
+    numbers, too, become static light.
+    """
+    shape = light.static.shape
     moving, stderr, overflow = light.moving.copy(), light.stderr**2, light.overflow.copy()
     change, changes = light.change_stderr**2, light.change_errors**2
     norms = np.array([l2_norm(light.total(f)) for f in range(light.frames)])
-    errors, rays = (light.relative_error * norms) ** 2, dict.fromkeys(names, 0.0)
-
-    def samples_of(stands: Scene, known: Floats, error: float) -> Samples:
-        one = set_apart(stands, capture)
-        problem = Problem.of(one.scene, capture, accuracy, seed, split_parts=False, caster=one.caster)
-        return sampled(problem, names, known.reshape(-1, shape[2]), error, like=first)
-
-    for f in range(light.frames):
-        samples = samples_of(scene.at(float(light.times_s[f].mean())), light.total(f), math.sqrt(errors[f]))
-        first, found = first or samples, samples.found
-        for name in names:
-            moving[f] += found.light[name].reshape(shape)
-            stderr[f] += found.variance[name].reshape(shape)
-        overflow[f] += found.overflow(shape)
-        errors[f] += sum(error**2 for error in found.error.values())
-        noise = np.array([found.apart[name] for name in names])
-        if f:
-            square = np.square(noise - before).sum(axis=0)
+    errors, rays = (light.relative_error * norms) ** 2, dict(light.rays)
+    before: Floats | None = None
+    for f, at in enumerate(whole):
+        found = others.of([scene.at(float(time_s)) for time_s in at], light.total(f), math.sqrt(errors[f]))
+        moving[f] += found.light.sum(axis=0).reshape(shape)
+        stderr[f] += found.variance.sum(axis=0).reshape(shape)
+        overflow[f] += found.outside
+        errors[f] += found.square
+        if before is not None:
+            square = np.square(found.apart - before).sum(axis=0)
             change[f] += square.reshape(shape)
             changes[f] += square.sum()
-        before = noise
-        rays = {name: rays[name] + found.cost[name] for name in names}
+        before = found.apart
+        rays |= {name: rays.get(name, 0.0) + of for name, of in found.cost.items()}
     norms = np.array([l2_norm(light.static + of) for of in moving])
     relative = np.divide(np.sqrt(errors), norms, out=np.zeros(len(norms)), where=norms > 0)
-    assert first is not None
+    static = light.static
     light = replace(light, moving=moving)
     if apart:
-        still = samples_of(scene.without(*scene.moving), light.static, 0.0).found.light
-        light = _told_apart(light, np.sum([still[name] for name in names], axis=0).reshape(shape))
-    ways = {name: "blocks" if isinstance(of, BlocksOf) else "paths" for name, of in first.sources.items()}
+        still = others.of([scene.without(*scene.moving)], static, 0.0)
+        light = _told_apart(light, still.light.sum(axis=0).reshape(shape))
+    ways = {name: f"frames: {way}" for name, way in others.samplers.items()}
     return replace(
         light, stderr=np.sqrt(stderr), overflow=overflow, change_stderr=np.sqrt(change),
-        change_errors=np.sqrt(changes), relative_error=relative, rays={**light.rays, **rays},
-        samplers={**light.samplers, **{name: f"frames: {way}" for name, way in ways.items()}},
+        change_errors=np.sqrt(changes), relative_error=relative, rays=rays, samplers={**light.samplers, **ways},
     )  # fmt: skip
 
 
@@ -326,10 +325,14 @@ def _with_frame(light: SequenceLight, f: int, whole: Transient) -> SequenceLight
     )  # fmt: skip
 
 
-def _frame(scene: Scene, capture: Capture, time_s: float, accuracy: Accuracy, seed: int) -> Transient:
-    """The light of the scene as it stands at a time."""
-    apart = set_apart(scene.at(time_s), capture)
-    return transient_of(apart.scene, capture, accuracy, seed, caster=apart.caster)
+def _frame_instants(scene: Scene, capture: Capture, times: Floats, exposure_s: float) -> Floats:
+    """(F, S) instants of frames that are simulated as a whole, seconds."""
+    return instants(times.mean(axis=1), exposure_s, path_change(scene, capture, times, exposure_s), MOST_WHOLE).T
+
+
+def _frame(scene: Scene, capture: Capture, at: Floats, accuracy: Accuracy, seed: int) -> Transient:
+    """The mean light of the scene as it stands at instants (S,), seconds."""
+    return transient_of_moments([scene.at(float(time_s)) for time_s in at], capture, accuracy, seed)
 
 
 class _Errors(NamedTuple):

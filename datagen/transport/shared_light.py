@@ -54,14 +54,19 @@ LINES = 3
 class Static(NamedTuple):
     """The light A of the static room, and what else frames have in common.
 
-    light : of the static room. problem : of all parts, whose rays meet the static room alone. movers : at the times
-    of all frames and laser points. target : relative L2 error asked of three bounces.
+    light : of the static room. problem : of all parts, whose rays meet the static room alone. movers : at the
+    instants of all frames and laser points. target : relative L2 error asked of three bounces.
     """
 
     light: Transient
     problem: Problem
     movers: list[Mover]
     target: float
+
+    @property
+    def frames(self) -> int:
+        """How many there are."""
+        return int(self.movers[0].pose.shape[1])
 
 
 class Moving(NamedTuple):
@@ -103,11 +108,11 @@ class Effort(NamedTuple):
 
 
 def static_of(
-    scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, target: float, seed: int
+    scene: Scene, capture: Capture, instants: Floats, accuracy: Accuracy, target: float, seed: int
 ) -> Static | None:
     """The static room of a sequence; None where its light does not come by cuts, or where no laser ray meets it.
 
-    times : (F, L) seconds. target : relative L2 error asked of three bounces.
+    instants : (S, F, L) seconds. target : relative L2 error asked of three bounces.
     """
     if set(scene.moving) == set(scene.part_names):
         return None
@@ -118,7 +123,7 @@ def static_of(
         return None
     every = movers_last(scene, static.scene)
     problem = Problem.of(every, capture, three, seed, split_parts=True, caster=static.caster)
-    movers = movers_of(scene, static.caster, times, len(static.scene.part_names))
+    movers = movers_of(scene, static.caster, instants, len(static.scene.part_names))
     return Static(light, problem, movers, target)
 
 
@@ -130,14 +135,14 @@ def moving_light(static: Static) -> Moving:
     ]
     shadows = Shadows(cuts, static.movers)
     effort = _effort(static, cuts, owns, shadows)
-    F, H, T = len(static.movers[0].pose), cuts.pairs.histograms, cuts.problem.capture.time.bins
+    F, H, T = static.frames, cuts.pairs.histograms, cuts.problem.capture.time.bins
     found = Moving(
         np.zeros((F, H, T)), np.zeros((F, H, T)), {own.mover.name: np.zeros((F, H, T)) for own in owns},
         {own.mover.name: np.zeros(F) for own in owns}, {name: np.zeros((F, H, T)) for name in shadows.parts},
         np.zeros((F, H)), np.zeros(F), np.zeros(F), 0.0,
     )  # fmt: skip
-    # With more numbers at once, memory that is new takes a third of the time.
-    step = max(VALUES_AT_ONCE // (2 * F * T * (2 + len(shadows.parts))), 1)
+    # With more numbers at once, memory that is new takes a third of the time; pictures of four instants take as much.
+    step = max(VALUES_AT_ONCE // (2 * F * T * (2 + len(shadows.parts)) * -(-shadows.instants // 4)), 1)
     for at in range(0, H, step):
         some = np.arange(at, min(at + step, H))
         _add(found, some, owns, shadows, effort, Jobs.of(cuts, some, np.tile(np.arange(F)[:, None], len(some))))
@@ -202,7 +207,7 @@ def _moving(looks: Sequence[_Pilot], blocked: _Pilot) -> _Pilot:
 
 def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort:
     """How fine all frames have to be, from a pilot over some histograms, each in some frame."""
-    F, H = len(static.movers[0].pose), cuts.pairs.histograms
+    F, H = static.frames, cuts.pairs.histograms
     count = min(FEW, F * H)
     rng = np.random.default_rng(cuts.seed(7))
     # Evenly spread over histograms, and, by a permutation, over frames.
@@ -249,10 +254,11 @@ def in_view(static: Static, capture: Capture) -> Bools:
     """(F,) whether a mover hides a laser point from the laser, or any of what a pixel sees from the sensor."""
     problem, sensor = static.problem, capture.sensor
     points, pairs = problem.points, problem.pairs.ends
-    found, lit = np.zeros(len(static.movers[0].pose), np.bool_), np.flatnonzero(points.part >= 0)
+    found, lit = np.zeros(static.frames, np.bool_), np.flatnonzero(points.part >= 0)
     sight = lines_of_sight(problem.caster, sensor, LINES)
-    for frame, mover in itertools.product(range(len(found)), static.movers):
-        pose = mover.pose[frame]
+    instants = range(len(static.movers[0].pose))
+    for frame, instant, mover in itertools.product(range(len(found)), instants, static.movers):
+        pose = mover.pose[instant, frame]
         # Where all laser points have one time, each pixel is looked at once.
         is_one = bool((pose == pose[:1]).all())
         laser, pixel = (np.zeros(len(sensor.pixels), np.int64), np.arange(len(sensor.pixels))) if is_one else pairs.T

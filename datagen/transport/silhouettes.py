@@ -134,7 +134,8 @@ class Shadows:
         for row, name in enumerate(self.parts):
             self.slot[names.index(name)] = row + 1
         # Where all laser points have one time, pixels see the same picture at all of them.
-        self.has_one_time = all((mover.pose == mover.pose[:, :1]).all() for mover in movers)
+        self.has_one_time = all((mover.pose == mover.pose[..., :1, :]).all() for mover in movers)
+        self.instants, self.frames = movers[0].pose.shape[:2]
 
     def run(self, jobs: Jobs, side: int, number: int) -> tuple[Floats, Floats]:
         """The light (2, S, F, n, T) of two replicates that is blocked in some histograms, by way of what is no object
@@ -148,6 +149,9 @@ class Shadows:
             seed = self.cuts.seed(6, number, r)
             ends = self._ends(np.random.default_rng(seed))
             self._add(jobs, side, r, seed, ends, light[r].reshape(rows, -1, T), outside[r].reshape(-1))
+        if self.instants > 1:
+            light /= self.instants
+            outside /= self.instants
         return light, outside
 
     def _ends(self, rng: np.random.Generator) -> Ends:
@@ -163,13 +167,16 @@ class Shadows:
     def _add(
         self, jobs: Jobs, side: int, replicate: int, seed: int, ends: Ends, light: Floats, outside: Floats
     ) -> None:  # fmt: skip
-        """Adds a replicate of the blocked light of some histograms to light (S, F n, T) and outside (F n,)."""
+        """Adds a replicate of the blocked light of some histograms, summed over the instants of their exposures, to
+        light (S, F n, T) and outside (F n,)."""
         L, P = len(ends.room.lasers.part), len(ends.middle)
-        frame = jobs.frame.ravel()
-        laser, pixel = np.tile(jobs.laser, len(jobs.frame)), np.tile(jobs.pixel, len(jobs.frame))
+        # The moments of an instant, in all frames, come one after another.
+        moment = np.arange(self.instants)[:, None, None] * self.frames + jobs.frame
+        laser, pixel = (np.broadcast_to(of, moment.shape).ravel() for of in (jobs.laser, jobs.pixel))
+        row, moment = np.broadcast_to(np.arange(jobs.frame.size), (self.instants, jobs.frame.size)), moment.ravel()
         # A picture of each laser point in each frame, and of each pixel at that time.
-        of_x, of_laser = np.unique(frame * L + laser, return_inverse=True)
-        time = frame * L + (0 if self.has_one_time else laser)
+        of_x, of_laser = np.unique(moment * L + laser, return_inverse=True)
+        time = moment * L + (0 if self.has_one_time else laser)
         of_z, of_pixel = np.unique(time * P + pixel, return_inverse=True)
         lasers, at_laser = np.unique(laser, return_inverse=True)
         pixels, at_pixel = np.unique(pixel, return_inverse=True)
@@ -191,7 +198,7 @@ class Shadows:
         )
         x_light = self._light(x_cells, pair, lasers, pixels, 0, replicate, side, ends)
         z_light = self._light(z_cells, pair, lasers, pixels, 1, replicate, side, ends)
-        job = np.column_stack([of_laser, of_pixel, of_pair, at_laser, at_pixel, laser, pixel])
+        job = np.column_stack([of_laser, of_pixel, of_pair, at_laser, at_pixel, laser, pixel, row.ravel()])
         bits, near = np.zeros((2, 3 * side * side), np.int64), np.empty((2, 3 * side * side))
         done = np.full(3 * side * side, -1)
         _pour_all(
@@ -206,9 +213,10 @@ class Shadows:
             return False
         return bool((np.linalg.norm(ends.room.lasers.position - row[:, :3], axis=1) <= row[:, 6]).all())
 
-    def _pictures(self, views: Views, of_view: Ints, frame: Ints, laser: Ints, side: int) -> Pictures:
-        """Pictures from views `of_view`, of movers as they are in a frame at the time of a laser point."""
-        pose = np.stack([mover.pose[frame, laser] for mover in self.movers], axis=1)
+    def _pictures(self, views: Views, of_view: Ints, moment: Ints, laser: Ints, side: int) -> Pictures:
+        """Pictures from views `of_view`, of movers as they are at a moment of a laser point."""
+        instant, frame = np.divmod(moment, self.frames)
+        pose = np.stack([mover.pose[instant, frame, laser] for mover in self.movers], axis=1)
         return pictures(views, of_view, pose, self.drawn, side)
 
     def _cells(
@@ -639,16 +647,16 @@ def _nearest(side, cell, bits, near):  # type: ignore[no-untyped-def]
 def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, light, outside):  # type: ignore[no-untyped-def]
     """Adds what is blocked in all histograms to light (S, n, T) and outside (n,).
 
-    job : (n, 7) pictures of laser point and pixel, pair, index of both, number of both. drawn, cells, flows, views :
-    those of laser points, and of pixels; flows of `_light`. bits, near : (2, cells), done : (cells,) to work in; bits
-    are 0 before and after, done −1 before.
+    job : (m, 8) pictures of laser point and pixel, pair, index of both, number of both, row of `light`. drawn, cells,
+    flows, views : those of laser points, and of pixels; flows of `_light`. bits, near : (2, cells), done : (cells,),
+    to work in; bits are 0 before and after, done −1 before.
     """
     (drawn_x, drawn_z), (x_cells, z_cells), (x_light, z_light), (x_views, z_views) = drawn, cells, flows, views
     room, seen = ends.room, ends.seen
     points = len(seen.part) // len(seen.cluster)
     for h in range(len(job)):
-        mx, mz, pair, view_x, view_z, i, p = (
-            job[h, 0], job[h, 1], job[h, 2], job[h, 3], job[h, 4], job[h, 5], job[h, 6]
+        mx, mz, pair, view_x, view_z, i, p, to_row = (
+            job[h, 0], job[h, 1], job[h, 2], job[h, 3], job[h, 4], job[h, 5], job[h, 6], job[h, 7]
         )  # fmt: skip
         if room.lasers.part[i] < 0 or seen.cluster[p, 0, 9] <= 0.0:
             continue
@@ -658,7 +666,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
             own = x_light[1][x_light[0][pair] + k - x_cells.first[view_x]]
             if own > 0.0 and drawn_x.near[e] < x_cells.depth[k]:
                 known = x_light[2][x_light[0][pair] + k - x_cells.first[view_x]]
-                to = light[ends.slot[ends.part[x_cells.face[k]]], h]
+                to = light[ends.slot[ends.part[x_cells.face[k]]], to_row]
                 if drawn_x.bits[e] != FULL or known[1] < 0.0:
                     cell, legs = (
                         _cell_at(x_cells, k, x_views, i, ends, side),
@@ -670,7 +678,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                         known[0], known[1], known[2] = time, wide, narrow
                 else:
                     taken, time, wide, narrow = 1.0, known[0], known[1], known[2]
-                outside[h] += _deposit(to, time, wide, narrow, taken * own)
+                outside[to_row] += _deposit(to, time, wide, narrow, taken * own)
         if drawn_z.first[mz] == drawn_z.first[mz + 1]:
             continue
         _take(drawn_x, mx, bits[0], near[0], True)
@@ -692,8 +700,8 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                 shift = on_face(face, along(z_views.axes[p], subtract(legs.z, get(z_views.origin, p, 0))))
                 found = _seen_but_not_lit(cell, legs, nearest, shift, i, x_views, side, bits, near)
                 if found != 0:
-                    to = light[ends.slot[ends.part[z_cells.face[k]]], h]
+                    to = light[ends.slot[ends.part[z_cells.face[k]]], to_row]
                     taken, time, wide, narrow = _spread(cell, legs, found, row, room, side)
-                    outside[h] += _deposit(to, time, wide, narrow, taken * own)
+                    outside[to_row] += _deposit(to, time, wide, narrow, taken * own)
         _take(drawn_x, mx, bits[0], near[0], False)
         _take(drawn_z, mz, bits[1], near[1], False)

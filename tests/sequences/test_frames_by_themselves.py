@@ -15,13 +15,15 @@ from tests.sequences.rooms_that_move import DEVICE, box, capture, room
 PATH = dg.Path((0.0, 1.0), [(1.5, 0.3, 1.2), (1.6, -0.5, 1.2)], (0, 40))
 SCENE = room(dg.Part("box", box(), dg.Lambertian(0.4), path=PATH))
 CLOCK = dg.Clock(frames=3, rate_hz=3)
+SHORT_S = 1e-6
+"""An exposure in which nothing moves."""
 
 
 @pytest.mark.parametrize("accuracy", [dg.Accuracy(target=0.05), dg.Accuracy(samples=512, direct=True)])
 def test_a_frame_is_the_scene_of_its_middle(accuracy: dg.Accuracy) -> None:
     scan = capture()
-    times = times_of(scan, CLOCK, None)
-    light = light_of_frames(SCENE, [scan] * 3, times, accuracy, 5)
+    times, _ = times_of(scan, CLOCK, None)
+    light = light_of_frames(SCENE, [scan] * 3, times, SHORT_S, accuracy, 5)
     for f in range(3):
         due, found = dg.simulate(SCENE.at(times[f].mean()), scan, accuracy, 5), light.frame(f)
         np.testing.assert_array_equal(light.total(f), due.total)
@@ -35,8 +37,8 @@ def test_a_frame_is_the_scene_of_its_middle(accuracy: dg.Accuracy) -> None:
 def test_a_sensor_that_moves_has_a_capture_for_each_frame() -> None:
     scan = capture()
     shifted = [replace(scan, sensor=dg.Sensor(np.add(DEVICE, (0.1 * f, 0, 0)), scan.sensor.pixels)) for f in range(3)]
-    light = dg.simulate_sequence(SCENE, shifted, CLOCK, dg.Accuracy(target=0.05), 1)
-    times = times_of(scan, CLOCK, None)
+    light = dg.simulate_sequence(SCENE, shifted, CLOCK, dg.Accuracy(target=0.05), 1, exposure_s=SHORT_S)
+    times, _ = times_of(scan, CLOCK, SHORT_S)
     due = dg.simulate(SCENE.at(times[2].mean()), shifted[2], dg.Accuracy(target=0.05), 1)
     np.testing.assert_array_equal(light.total(2), due.total)
 

@@ -14,11 +14,14 @@ import trimesh
 
 import datagen as dg
 from datagen.records import SequenceLight
+from datagen.transport.sequences import light_of_sequence, times_of
 from tests.sequences.rooms_that_move import box, capture, room
 
 SIGMAS = 4.5
 SLACK = 3e-3
 """Share of the energy that may be wrong: shadows of coarse cells are 0.6 % too dark."""
+SHORT_S = 1e-6
+"""An exposure in which nothing moves."""
 FINE = dg.Accuracy(target=0.004)
 ACCURACY = dg.Accuracy(target=0.02)
 HALF_TURN = dg.Path((0.0, 1.0), [(1.5, 0.4, 1.2), (1.6, -0.5, 1.2)], (0, 140))
@@ -41,10 +44,10 @@ def moving_box(material: dg.Material | None = None, path: dg.Path = HALF_TURN) -
 
 def sequence(
     scene: dg.Scene, scan: dg.Capture, frames: int = 3, seed: int = 0, accuracy: dg.Accuracy = ACCURACY,
-    order: dg.records.Order = "together",
+    exposure_s: float | None = SHORT_S,
 ) -> SequenceLight:  # fmt: skip
-    clock = dg.Clock(frames, frames / 1.0, order)
-    return dg.simulate_sequence(scene, scan, clock, accuracy, seed)
+    clock = dg.Clock(frames, frames / 1.0, "together")
+    return dg.simulate_sequence(scene, scan, clock, accuracy, seed, exposure_s=exposure_s)
 
 
 LOW_BOX = dg.Part("other", box((0.3, 0.3, 0.4)), dg.Lambertian(0.7), path=ACROSS)
@@ -144,7 +147,8 @@ def test_nothing_that_moves_is_one_scene() -> None:
 def test_time_that_runs_backward_gives_the_frames_in_reverse() -> None:
     back = dg.Path(1.0 - HALF_TURN.times_s[::-1], HALF_TURN.places[::-1], HALF_TURN.headings_deg[::-1])
     scan = capture()
-    forth, reverse = (sequence(room(moving_box(path=path)), scan, 4) for path in (HALF_TURN, back))
+    # Only exposures that fill their frames are the same backward.
+    forth, reverse = (sequence(room(moving_box(path=path)), scan, 4, exposure_s=None) for path in (HALF_TURN, back))
     for f in range(4):
         apart = np.linalg.norm(forth.moving[f] - reverse.moving[3 - f])
         claimed = np.hypot(forth.part_errors["box"][f], reverse.part_errors["box"][3 - f])
@@ -155,7 +159,8 @@ def test_time_that_runs_backward_gives_the_frames_in_reverse() -> None:
 def test_each_laser_point_has_its_own_time(pairing: dg.records.Pairing) -> None:
     """A rolling shutter is as many scenes with one laser point each."""
     scene, scan, seeds = CASES["box"][0], capture(2, pairing=pairing), 6
-    lights = [sequence(scene, scan, 2, seed, order="raster") for seed in range(seeds)]
+    times, _ = times_of(scan, dg.Clock(2, 2.0), None)
+    lights = [light_of_sequence(scene, [scan] * 2, times, SHORT_S, ACCURACY, seed) for seed in range(seeds)]
     for laser in range(4):
         one = scan.excerpt(np.array([laser]))
         at = float(lights[0].times_s[1, laser])
