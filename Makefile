@@ -16,8 +16,8 @@ OUT ?= out/quickstart.zarr
 ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
-	bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-peers \
-	peers wheel wheel-demo clean
+	bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-sequences \
+	bench-peers peers wheel wheel-demo clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -30,7 +30,7 @@ help:
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
 	@echo "make bench   the figures of docs/figures.md, some hours; one of them: make bench-scaling, -first, -detector,"
-	@echo "             -devices, -loaders, -large, -evidence, -acceptance, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
+	@echo "             -devices, -loaders, -large, -evidence, -acceptance, -sequences, -peers;  make peers   compare with mitransient (needs LLVM 19 or newer)"
 
 setup: $(STAMP)
 
@@ -99,7 +99,7 @@ nightly: setup
 	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
 
 bench: setup bench-scaling bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence \
-		bench-acceptance bench-peers
+		bench-acceptance bench-sequences bench-peers
 	$(BIN)/datagen bench stages $(CONFIG)
 	$(BIN)/datagen bench accuracy configs/demonstration_room.yaml out/accuracy
 
@@ -131,6 +131,12 @@ bench-acceptance: setup
 	$(BIN)/python tests/benchmarks/ways.py
 	$(BIN)/python tests/benchmarks/acceptance.py hard
 	$(BIN)/python tests/benchmarks/acceptance.py ready kept --scenes 60
+
+bench-sequences: setup
+	$(BIN)/python tests/benchmarks/sequences.py claims --rooms 8
+	$(BIN)/python tests/benchmarks/sequences.py energies --rooms 5
+	$(BIN)/python tests/benchmarks/sequences.py floors --rooms 6
+	$(BIN)/python tests/benchmarks/sequences.py speed --rooms 4
 
 bench-peers: setup
 	$(BIN)/python tests/benchmarks/peers.py out/peers

@@ -1,9 +1,9 @@
 """Sequences: what a frame costs, whether energies and claims of changes hold, and the floor of changes.
 
-    python tests/benchmarks/sequences.py claims --rooms 10      # true over claimed errors of changes
+    python tests/benchmarks/sequences.py claims --rooms 8      # true over claimed errors of changes
     python tests/benchmarks/sequences.py energies --rooms 5     # frames over the same scenes simulated by themselves
     python tests/benchmarks/sequences.py floors --rooms 6       # σ of changes, and their floor
-    python tests/benchmarks/sequences.py speed --rooms 3        # seconds a frame over those of the first
+    python tests/benchmarks/sequences.py speed --rooms 4        # seconds a frame over those of the first
     python tests/benchmarks/sequences.py claims --movers box glossy
 
 Random rooms of five layouts with a pillar or a box that stands, and something that walks at 1 m/s: a box, a mesh of
@@ -44,7 +44,7 @@ from datagen.transport.sequences import light_of_sequence, times_of
 WALK = {"kind": "walk", "speed_m_s": 1.0}
 LAYOUTS = ("l_corridor", "t_corridor", "corridor_room", "doorway_room", "z_corridor")
 CLOTHES = {"person light": "white_cotton", "person dark": "black_cotton"}
-TARGET = 0.02
+SIDE, TARGET = 16, 0.02
 FINER, FINEST_SIDE = 12.0, 120
 """How much finer the elements of a reference are, and the most cells along a side that memory takes."""
 FINE = dg.Accuracy(target=0.003)
@@ -75,7 +75,7 @@ def config_of(mover: str, layout: str, order: str = "raster") -> DatasetConfig:
     return config_from_mapping({
         "name": "sequences", "seed": 640, "sequence": {"frames": 16, "rate_hz": 10, "order": order},
         "scene": {"layout": {"kind": layout}, "contents": contents(mover)},
-        "capture": {"scan": {"rows": 16, "columns": 16}, "time": {"bins": 512, "bin_width_ps": 100}},
+        "capture": {"scan": {"rows": SIDE, "columns": SIDE}, "time": {"bins": 512, "bin_width_ps": 100}},
         "transport": {"target": TARGET}, "detector": {"cycles": 3900, "photons_per_pulse": 2.0e9},
         "store": {"fields": ["histogram", "transient", "objects"]},
     })  # fmt: skip

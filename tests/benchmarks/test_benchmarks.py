@@ -23,6 +23,7 @@ from benchmarks import (
     loaders,
     long_builds,
     scaling,
+    sequences,
 )
 from benchmarks.hard_scenes import hard
 from damage import SCENES, sample, small_dataset
@@ -240,3 +241,13 @@ def test_what_paths_say_of_light() -> None:
     far = case._replace(whole=claim(0.001, 0.03, 0.001), objects={})
     assert not far.is_done(0) and far.is_done(1)
     assert not case._replace(whole=claim(0.001, 0.0, 0.01), objects={}).is_done(1)
+
+
+@pytest.mark.parametrize("what", sequences.WHAT)
+def test_sequences_have_a_row_for_each_mover(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sequences, "SIDE", 2)
+    monkeypatch.setattr(sequences, "FINE", Accuracy(target=0.05))
+    *rooms, table = sequences.WHAT[what](["box"], 1)
+    row = next(line for line in table.splitlines() if line.startswith("| box"))
+    assert len(rooms) == 1 and row.count("|") == table.splitlines()[0].count("|")
+    assert any(character.isdigit() for character in row)
