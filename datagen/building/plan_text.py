@@ -10,6 +10,7 @@ from pathlib import Path
 
 from datagen.building.plan import SECONDS, Plan, Range, plan_build
 from datagen.config import DatasetConfig, time_axes
+from datagen.config.sequence import sequence_said
 from datagen.design.exposure import with_exposure_found
 from datagen.errors import InputError, as_line
 from datagen.records.checks import as_given
@@ -72,8 +73,8 @@ def _configured(config: DatasetConfig) -> Iterator[str]:
     yield f"scenes       {config.scenes}, seed {config.seed}"
     yield f"capture      {config.capture.pairing}, {lit} × {_count(pixels, 'pixel')} × {axis}{named}"
     if config.sequence is not None:
-        of = config.sequence
-        yield f"sequence     {of.frames} frames each, {of.rate_hz:g} a second, laser points in the order {of.order}"
+        said = sequence_said(config.sequence.model_dump(), config.capture.model_dump())
+        yield f"sequence     {config.sequence.frames} frames each, {said}"
     yield f"transport    {how}, {bounces}"
     yield f"detector     {config.detector.mode}{kind}"
     if goal is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -21,3 +22,12 @@ class SequenceConfig(Settings):
     order: Order = "raster"
     """In which laser points are measured. `raster`: row by row; `serpentine`: every second row backwards;
     `interleaved`: four coarse scans, each of every second point of every second row; `together`: all at once."""
+
+
+def sequence_said(sequence: Mapping[str, Any], capture: Mapping[str, Any]) -> str:
+    """How frames are measured, for people, from the plain values of the sections `sequence` and `capture`."""
+    order, motion = sequence["order"], capture.get("motion")
+    at_once = order == "together" or capture["illumination"] == "flood"
+    lit = "all laser points at once" if at_once else f"laser points in the order {order}"
+    moves = "" if motion is None else f"; the sensor moves ({motion['kind']})"
+    return f"{sequence['rate_hz']:g} a second, {lit}{moves}"

@@ -16,6 +16,7 @@ those of the other frames, simulated with the numbers that the fit found.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -121,7 +122,7 @@ class Comparison(HistogramErrors):
     @cached_property
     def left(self) -> dict[str, float]:
         """What would explain the residuals: effect → share of ‖modelled − measured‖² that it removes if it is free
-        in every histogram. Shares overlap, since effects resemble each other."""
+        in every histogram. Shares overlap, since effects resemble each other; all are 0 where nothing is left."""
         model = self.modelled
         residual = self.measured - model
         slope, bend = np.gradient(model, axis=2), np.gradient(np.gradient(model, axis=2), axis=2)
@@ -133,7 +134,8 @@ class Comparison(HistogramErrors):
         shares = {}
         for name, shape in (("brightness", model), ("time", slope), ("width", bend), ("late light", late)):
             along = (residual * shape).sum(axis=2) ** 2 / np.maximum((shape**2).sum(axis=2), 1e-300)
-            shares[name] = float((weight * along).sum() / (weight * (residual**2).sum(axis=2)).sum())
+            left = float((weight * (residual**2).sum(axis=2)).sum())
+            shares[name] = float((weight * along).sum()) / left if left > 0 else 0.0
         return shares
 
     def as_dict(self) -> dict[str, Any]:
@@ -321,7 +323,8 @@ def _check_order(source: str, errors_by_mode: Sequence[dict[str, float]]) -> Non
 def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
     """The histograms of all scenes that two datasets have in common; one scale and one floor are fitted.
 
-    recorded, simulated : folders of datasets with the field histogram; each pixel of each laser point is a zone.
+    recorded, simulated : folders of datasets with the field histogram; each pixel of each laser point is a zone, and
+        each scene a frame; of sequences each frame of each scene.
 
     Raises `InputError` for datasets without histograms, of other shapes or times, or with no scene in common.
     """
@@ -340,11 +343,12 @@ def compare_datasets(recorded: str | Path, simulated: str | Path) -> Comparison:
         for dataset in (ours, theirs)
     ]
     if stacks[0].shape != stacks[1].shape:
-        shapes = " and ".join(str(stack.shape[1:]) for stack in stacks)
-        raise InputError(
-            f"{recorded} and {simulated}: histograms (laser, pixel, bin) of {shapes}; they must be alike"
+        shapes = " and ".join(
+            f"({', '.join(dataset.manifest.schema.by_name['histogram'].dims[1:])}) {stack.shape[1:]}"
+            for dataset, stack in zip((ours, theirs), stacks, strict=True)
         )
-    measured, model = (stack.reshape(len(common), -1, stack.shape[-1]) for stack in stacks)
+        raise InputError(f"{recorded} and {simulated}: histograms of {shapes}; they must be alike")
+    measured, model = (stack.reshape(-1, math.prod(stack.shape[-3:-1]), stack.shape[-1]) for stack in stacks)
     lit = np.linalg.norm(measured, axis=2, keepdims=True) > 0
     if not lit.all():
         raise InputError(f"{recorded}: {np.sum(~lit)} histograms are empty; nothing can be compared with them")

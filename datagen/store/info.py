@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from datagen.config.sequence import sequence_said
 from datagen.errors import InputError, as_line
 from datagen.store.card import readable
 from datagen.store.columns import Columns
@@ -93,8 +94,7 @@ def _origin(dataset: Description) -> list[str]:
 
 
 def _rate(manifest: Manifest) -> str:
-    sequence = manifest.config["sequence"]
-    return f"{sequence['rate_hz']:g} a second, laser points in the order {sequence['order']}"
+    return sequence_said(manifest.config["sequence"], manifest.config["capture"])
 
 
 def _fields(dataset: Description) -> list[str]:

@@ -13,6 +13,7 @@ import datagen as dg
 from datagen.cli import run
 from datagen.config import config_from_mapping, fingerprint_of, json_schema
 from datagen.config.detector import USUAL_REPETITION_RATE_HZ
+from datagen.config.sequence import sequence_said
 from datagen.errors import InputError
 
 SEQUENCE = {"frames": 16, "rate_hz": 10}
@@ -141,3 +142,15 @@ def test_what_cannot_be_measured_is_refused_before_anything_is_made(
     said = capsys.readouterr()
     assert words in said.err.strip().splitlines()[-1] and not said.out
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("order", "illumination", "motion", "said"), [
+    ("serpentine", "scan", None, "5 a second, laser points in the order serpentine"),
+    ("together", "scan", None, "5 a second, all laser points at once"),
+    ("raster", "flood", {"kind": "drive"}, "5 a second, all laser points at once; the sensor moves (drive)"),
+])  # fmt: skip
+def test_it_is_said_how_frames_are_measured(
+    order: str, illumination: str, motion: dict[str, Any] | None, said: str
+) -> None:
+    capture = {"illumination": illumination} | ({} if motion is None else {"motion": motion})
+    assert sequence_said({"order": order, "rate_hz": 5.0}, capture) == said

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from click.testing import CliRunner
+from damage import small_dataset
 from rooms import ONE_BOUNCE
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +21,7 @@ from datagen.devices import Comparison, Fitted
 from datagen.devices.zone_order import zones_listed
 from datagen.errors import InputError
 from datagen.records.arrays import Floats
+from datagen.store.scenes import Scenes
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -221,6 +223,24 @@ def test_two_datasets_are_compared(tmp_path: Path) -> None:
             ["compare", str(tmp_path / "three"), str(tmp_path / "one"), "--out", "x.yaml"],
             catch_exceptions=False,
         )
+
+
+def test_each_frame_of_sequences_is_compared(tmp_path: Path) -> None:
+    """Of a dataset with itself nothing is left, and nothing that would explain it."""
+    small_dataset(tmp_path / "three", frames=3)
+    small_dataset(tmp_path / "two", frames=2)
+    small_dataset(tmp_path / "still")
+    found = dg.compare_datasets(tmp_path / "three", tmp_path / "three")
+    assert found.measured.shape == found.modelled.shape == (5 * 3, 2, 8)
+    assert found.fitted["scale"].value == pytest.approx(1) and found.relative_l2.max() < 1e-12
+    stored = Scenes(tmp_path / "three").read(1).arrays["histogram"][2, :, 0]
+    np.testing.assert_array_equal(found.measured[5], stored)
+    same = replace(found, modelled=found.measured)
+    assert same.left == dict.fromkeys(found.left, 0.0) and "15 frames" in found.text()
+    for other, words in (("two", r"\(frame, laser, pixel, bin\) \(3, 2, 1, 8\) and .* \(2, 2, 1, 8\)"),
+                         ("still", r"\(3, 2, 1, 8\) and \(laser, pixel, bin\) \(2, 1, 8\)")):  # fmt: skip
+        with pytest.raises(InputError, match=f"histograms of .*{words}; they must be alike"):
+            dg.compare_datasets(tmp_path / "three", tmp_path / other)
 
 
 @real

@@ -23,6 +23,7 @@ from datagen.report.preview import preview
 from datagen.report.replay import read_scene
 from datagen.report.replay import replay as shown_again
 from datagen.store import schema_of, verify
+from datagen.store.info import info
 from scene_library.sightlines import first_faces
 
 FRAMES = 3
@@ -295,6 +296,7 @@ def test_a_dataset_of_a_moving_sensor_opens_everywhere(tmp_path: Path) -> None:
         assert len(export(path, tmp_path / kind, kind, [1])) == FRAMES
     again = shown_again(read_scene(path, 1).at_frame(2))
     assert again.difference == pytest.approx(0, abs=1e-6) and again.moved_m < 1e-9
+    assert "3 of each scene, 5 a second, laser points in the order raster; the sensor moves (hand)" in info(path)
     np.testing.assert_array_equal(again.capture.sensor.position, sample.arrays["sensor_position"][2])
     assert preview(path, tmp_path / "page.html", 1).exists()
     opened = pytest.importorskip("xarray").open_zarr(path / "data.zarr", chunks=None)
