@@ -12,21 +12,23 @@ away the first return is within 0.2 % of the integral (`tests/capture/test_flood
 
 A beam that states the cells of its laser points (`Laser.flood`) has its light of one bounce integrated over the
 whole cells instead, with thousands of rays (`one_bounce_of_beam`): that is what a sensor sees that looks straight at
-things.
+things. Its light of two bounces is an integral over the same rays (`two_bounces_of_beam`), by which captures are
+compared with their simulation; `simulate` has it from paths.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from datagen.records import Capture, Laser, Scene, Sensor, TimeAxis
-from datagen.records.arrays import Floats
+from datagen.records.arrays import Floats, Ints
 from datagen.seeding import LightStream
-from datagen.transport.brdf import MaterialTable
+from datagen.transport.brdf import MaterialTable, cosine_directions
 from datagen.transport.fields_of_view import PixelCones, place_in_pixels, sensitivity
 from datagen.transport.problem import Estimate, Problem
 from datagen.transport.rays import Raycaster
@@ -110,8 +112,9 @@ def delayed(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
     return out
 
 
-def beam_rays(laser: Laser, rays: int = RAYS) -> tuple[Floats, Floats]:
-    """Directions (n, 3) of the rays of a beam that states its cells, and their shares (n,) of the light.
+def beam_rays(laser: Laser, rays: int = RAYS) -> tuple[Floats, Floats, Floats]:
+    """Directions (n, 3) of the rays of a beam that states its cells, their shares (n,) of the light, and two numbers
+    (n, 2) of each in 0 … 1 for what it does where it arrives.
 
     Each cell has equally many, a power of two and so many that there are `rays` or more in all. They are
     quasi-random: all points of a row of a regular grid would lie on the same side of a zone's edge.
@@ -119,10 +122,27 @@ def beam_rays(laser: Laser, rays: int = RAYS) -> tuple[Floats, Floats]:
     assert laser.cells is not None
     cells = len(laser.cells)
     each = 1 << max(math.ceil(math.log2(rays / cells)), 0)
-    uv = scrambled_sobol(stream_seeds(0, LightStream.BEAM, np.arange(cells)), each, 2)
+    uv = scrambled_sobol(stream_seeds(0, LightStream.BEAM, np.arange(cells)), each, 4)
     a, b, _, d = (laser.cells[:, None, k] - laser.position for k in range(4))
-    directions = a + uv[..., :1] * (b - a) + uv[..., 1:] * (d - a)
-    return directions.reshape(-1, 3), np.repeat(laser.shares / each, each)
+    directions = a + uv[..., :1] * (b - a) + uv[..., 1:2] * (d - a)
+    return directions.reshape(-1, 3), np.repeat(laser.shares / each, each), uv[..., 2:].reshape(-1, 2)
+
+
+class _Vertices(NamedTuple):
+    """n points where rays of a beam meet surfaces.
+
+    x (n, 3); normal (n, 3) on the side of the light; part (n,) indices; back (n, 3) unit directions to where light
+    comes from; power (n,) photons that arrive per emitted photon; length_m (n,) of the path so far, and legs_m (n,),
+    what of it counts for the time axis.
+    """
+
+    x: Floats
+    normal: Floats
+    part: Ints
+    back: Floats
+    power: Floats
+    length_m: Floats
+    legs_m: Floats
 
 
 def one_bounce_of_beam(
@@ -135,31 +155,103 @@ def one_bounce_of_beam(
 
         L = Σ_rays share · exp(−κ (R_l + R_s)) f cosθ_s V A / R_s² · s.
     """
-    laser, sensor, axis = capture.laser, capture.sensor, capture.time
-    directions, power = beam_rays(laser, rays)
-    hits = caster.closest(laser.position, directions)
-    directions, power = directions[hits.valid], power[hits.valid]
-    x, normal = hits.position[hits.valid], hits.normal[hits.valid]
-    part = scene.face_part[hits.face[hits.valid]].astype(np.int64)
-    back, to_sensor = laser.position - x, sensor.position - x
-    leg, r = np.linalg.norm(back, axis=1), np.linalg.norm(to_sensor, axis=1)
-    back, w = back / leg[:, None], to_sensor / r[:, None]
-    f = brdf(materials.kind, materials.values, part, normal, back, w)
-    air = np.exp(-scene.attenuation_per_m * (leg + r))
-    photons = power * air * f * np.maximum(dots(normal, w), 0.0) * aperture_area(capture, r) / r**2
-    lit = np.flatnonzero(photons > 0)
-    lit = lit[~caster.occluded(sensor.position, x[lit] + caster.offset_m * normal[lit])]
-    seen = _sensitivities(sensor, -w[lit])
-    pixel, ray = np.nonzero(seen)
-    photons = photons[lit[ray]] * seen[pixel, ray]
-    path = leg[lit] + r[lit] if axis.origin == "source" else np.zeros(len(lit))
-    place = np.floor((time_from_path(path[ray]) - axis.start_s) / axis.width_s)
+    light, outside = one_bounce_by_angle(scene, capture, caster, materials, (1.0,), rays)
+    return Beam(light[:, 0], outside)
+
+
+def one_bounce_by_angle(
+    scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, cosines: Sequence[float],
+    rays: int = RAYS,
+) -> tuple[Floats, Floats]:  # fmt: skip
+    """`one_bounce_of_beam`, divided among angles: light (K, N, P, T) by part and node, and what arrives outside (P,).
+
+    cosines : (N,) nodes, rising. Both nodes about the mean of the cosines of incidence and exitance share the light,
+        as linear interpolation does. So a BRDF of r(cosine) times that of `materials`, with r linear between nodes,
+        gives Σ r(node) light(node).
+    """
+    vertices, _ = _met_by_beam(scene, capture, caster, rays)
+    kept, pixel, photons, place = _recorded(scene, capture, caster, materials, vertices)
+    to_sensor = capture.sensor.position - vertices.x
+    cosine = dots(vertices.normal, vertices.back)
+    cosine = 0.5 * (cosine + dots(vertices.normal, to_sensor) / np.linalg.norm(to_sensor, axis=1))
+    node = np.interp(cosine, cosines, np.arange(len(cosines)))[kept]
+    axis, pixels, count = capture.time, len(capture.sensor.pixels), len(cosines)
     inside = (place >= 0) & (place < axis.bins)
-    parts, pixels = len(scene.part_names), len(sensor.pixels)
-    to = (part[lit[ray]] * pixels + pixel) * axis.bins + place.astype(np.int64)
-    light = np.bincount(to[inside], photons[inside], parts * pixels * axis.bins).astype(np.float64)
+    size = len(scene.part_names) * count * pixels * axis.bins
+    light, low = np.zeros(size), node.astype(np.int64)
+    for at, share in ((low, 1 - (node - low)), (np.minimum(low + 1, count - 1), node - low)):
+        to = ((vertices.part[kept] * count + at) * pixels + pixel) * axis.bins + place
+        light += np.bincount(to[inside], (photons * share)[inside], size)
     late = np.bincount(pixel[~inside], photons[~inside], pixels).astype(np.float64)
-    return Beam(light.reshape(parts, pixels, axis.bins), late)
+    return light.reshape(-1, count, pixels, axis.bins), late
+
+
+def two_bounces_of_beam(
+    scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, rays: int = RAYS
+) -> Floats:
+    """Light (K, K, P, T) of two bounces of a beam that states its cells, by the part of the first and of the second.
+
+    It is the integral of equation (1) of `reference.py` with B = 2. From where a ray of the beam meets the scene it
+    goes on in a direction with the density cosθ / π about the normal, and what it meets is joined to the sensor:
+
+        L = Σ_rays share · exp(−κ (R_l + R + R_s)) π f₁ f₂ cosθ_s V A / R_s² · s.
+    """
+    first, uv = _met_by_beam(scene, capture, caster, rays)
+    out = cosine_directions(first.normal, uv)
+    hits = caster.closest(first.x + caster.offset_m * first.normal, out)
+    met = hits.valid
+    power = first.power * np.pi * brdf(materials.kind, materials.values, first.part, first.normal, first.back, out)
+    x = hits.position[met]
+    between = np.linalg.norm(x - first.x[met], axis=1)
+    second = _Vertices(
+        x, hits.normal[met], scene.face_part[hits.face[met]].astype(np.int64), -out[met],
+        power[met] * np.exp(-scene.attenuation_per_m * between), first.length_m[met] + between,
+        first.legs_m[met] + between,
+    )  # fmt: skip
+    kept, pixel, photons, place = _recorded(scene, capture, caster, materials, second)
+    axis, pixels, parts = capture.time, len(capture.sensor.pixels), len(scene.part_names)
+    inside = (place >= 0) & (place < axis.bins)
+    pair = first.part[met] * parts + second.part
+    to = (pair[kept] * pixels + pixel) * axis.bins + place
+    light = np.bincount(to[inside], photons[inside], parts**2 * pixels * axis.bins)
+    return np.asarray(light.reshape(parts, parts, pixels, axis.bins), np.float64)
+
+
+def _met_by_beam(scene: Scene, capture: Capture, caster: Raycaster, rays: int) -> tuple[_Vertices, Floats]:
+    """Where the rays of a beam meet the scene, and two numbers (n, 2) of each for the direction in which it goes
+    on."""
+    laser, source = capture.laser, capture.time.origin == "source"
+    directions, power, uv = beam_rays(laser, rays)
+    hits = caster.closest(laser.position, directions)
+    met = hits.valid
+    x = hits.position[met]
+    leg = np.linalg.norm(laser.position - x, axis=1)
+    vertices = _Vertices(
+        x, hits.normal[met], scene.face_part[hits.face[met]].astype(np.int64), (laser.position - x) / leg[:, None],
+        power[met] * np.exp(-scene.attenuation_per_m * leg), leg, leg * source,
+    )  # fmt: skip
+    return vertices, uv[met]
+
+
+def _recorded(
+    scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, vertices: _Vertices
+) -> tuple[Ints, Ints, Floats, Ints]:
+    """What the pixels get from vertices: of each pair of a vertex and a pixel that sees it, the number of the vertex
+    and of the pixel, the photons, and the number of the bin, which may lie outside the window. (m,) each."""
+    sensor, axis = capture.sensor, capture.time
+    to_sensor = sensor.position - vertices.x
+    r = np.linalg.norm(to_sensor, axis=1)
+    w = to_sensor / r[:, None]
+    f = brdf(materials.kind, materials.values, vertices.part, vertices.normal, vertices.back, w)
+    photons = vertices.power * np.exp(-scene.attenuation_per_m * r) * f * np.maximum(dots(vertices.normal, w), 0.0)
+    photons *= aperture_area(capture, r) / r**2
+    lit = np.flatnonzero(photons > 0)
+    lit = lit[~caster.occluded(sensor.position, vertices.x[lit] + caster.offset_m * vertices.normal[lit])]
+    seen = _sensitivities(sensor, -w[lit])
+    pixel, row = np.nonzero(seen)
+    path = vertices.legs_m + r * (axis.origin == "source")
+    place = np.floor((time_from_path(path[lit[row]]) - axis.start_s) / axis.width_s).astype(np.int64)
+    return lit[row], pixel, photons[lit[row]] * seen[pixel, row], place
 
 
 def _sensitivities(sensor: Sensor, w: Floats) -> Floats:

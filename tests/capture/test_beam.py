@@ -11,6 +11,9 @@ from scipy.stats import chi2
 import datagen as dg
 from datagen.errors import InputError
 from datagen.records import Capture, Scene
+from datagen.transport.brdf import MaterialTable
+from datagen.transport.flood import one_bounce_by_angle, one_bounce_of_beam, two_bounces_of_beam
+from datagen.transport.rays import Raycaster
 from datagen.transport.reference import reference
 
 DEVICE, LASER = np.zeros(3), np.array([0.0, 0.02, 0.01])
@@ -75,6 +78,63 @@ def test_light_of_one_bounce_has_its_closed_form() -> None:
     share = 0.1**2 / 1.0**2
     np.testing.assert_allclose(found.sum(), share * 0.6 / np.pi * np.pi * 1e-6 / 4, rtol=0.03)
     assert found.argmax() == int(4 / 299_792_458 / 200e-12)
+
+
+def test_two_bounces_inside_of_a_sphere_have_their_closed_form() -> None:
+    """Wherever light met it first, the second vertex is uniform on a sphere: seen from the middle, a zone of solid
+    angle Ω gets ρ² Ω / (4π²) · A / r². The mean path has 2 r and the mean chord from the lit square to the zone."""
+    radius, albedo = 0.5, 0.7
+    ball = trimesh.creation.icosphere(5, radius)
+    room = dg.Scene.from_parts([dg.Part("ball", ball, dg.Lambertian(albedo), "relay_wall")])
+    laser = dg.Laser.flood(DEVICE, (1, 0, 0), (0, -0.3, 0), (0, 0, 0.3), 2, 2)
+    sensor = dg.Sensor.grid(DEVICE, (-1, 0, 0), (0, 0.6, 0), (0, 0, 0.6), 1, 1, 1e-3)
+    capture = dg.Capture(laser, sensor, dg.TimeAxis(400, 20e-12), "exhaustive", "flood")
+    found = two_bounces_of_beam(room, capture, Raycaster(room), MaterialTable.of(room.materials), 1 << 17)[0, 0, 0]
+    omega = 4 * np.arcsin(0.36 / 1.36)
+    np.testing.assert_allclose(found.sum(), albedo**2 * omega / (4 * np.pi**2) * np.pi * 1e-6 / radius**2, rtol=0.01)
+    metres = (np.arange(400) + 0.5) * 20e-12 * 299_792_458
+    assert abs((found * metres).sum() / found.sum() - _mean_path(radius)) < 0.005 * radius
+
+
+def _mean_path(radius: float) -> float:
+    """Mean path from the middle of a sphere by the lit square before it and the zone behind it, by quadrature."""
+    across = (np.arange(24) + 0.5) / 24 * 2 - 1
+    u, v = (grid.ravel() for grid in np.meshgrid(across, across))
+    lit, seen = (np.stack([np.full(u.shape, x), side * u, side * v], 1) for x, side in ((1.0, 0.3), (-1.0, 0.6)))
+    unit = [points / np.linalg.norm(points, axis=1, keepdims=True) for points in (lit, seen)]
+    # An even beam of flat cells is even over the tangents; the zone is even over the solid angle.
+    weight = (1 + 0.36 * (u**2 + v**2)) ** -1.5
+    chords = np.linalg.norm(unit[0][:, None] - unit[1], axis=2).mean(axis=0)
+    return float(radius * (2 + (chords * weight).sum() / weight.sum()))
+
+
+def test_two_bounces_of_a_beam_equal_those_of_paths() -> None:
+    """Pixel by pixel within 5 standard errors of the paths and 3 %, and each pair of parts that face each other is
+    there."""
+    room, capture = scene(), captured(3, footprints=footprints(4))
+    found = two_bounces_of_beam(room, capture, Raycaster(room), MaterialTable.of(room.materials), 1 << 18)
+    once, twice = (dg.simulate(room, capture, dg.Accuracy(samples=8192, max_bounces=b, direct=True)) for b in (1, 2))
+    paths, mine = (twice.total - once.total)[0].sum(axis=1), found.sum(axis=(0, 1, 3))
+    noise = np.sqrt((np.nan_to_num(twice.stderr[0]) ** 2).sum(axis=1))
+    assert (noise < 0.03 * paths).all() and (np.abs(mine - paths) < 5 * noise + 0.03 * paths).all()
+    np.testing.assert_array_equal(found.sum(axis=(2, 3)) > 0, [[0, 0, 1], [0, 0, 0], [1, 0, 0]])
+
+
+def test_light_by_angle_adds_up_and_follows_the_cosine() -> None:
+    """Nodes share all light of one bounce; factors that are the cosines themselves weight it with its cosine."""
+    room, capture = plane_ahead(1.2, 0.6), captured(3)
+    caster, table = Raycaster(room), MaterialTable.of(room.materials)
+    whole = one_bounce_of_beam(room, capture, caster, table)
+    nodes = np.linspace(0, 1, 5)
+    light, outside = one_bounce_by_angle(room, capture, caster, table, nodes)
+    np.testing.assert_allclose(light.sum(axis=1), whole.light, rtol=1e-12, atol=1e-30)
+    np.testing.assert_array_equal(outside, whole.outside)
+    # Before a plane the path is 2 z / cosine, which each bin knows to its width; places of light and sensor differ.
+    axis, lit = capture.time, whole.light[0].sum(axis=0) > 0
+    metres = 0.5 * (np.flatnonzero(lit) + 0.5) * axis.width_s * 299_792_458
+    cosine = np.einsum("n,npt->t", nodes, light[0])[lit] / whole.light[0].sum(axis=0)[lit]
+    np.testing.assert_allclose(cosine, np.minimum(1.2 / metres, 1.0), atol=0.02)
+    assert lit.sum() >= 3
 
 
 def test_crosstalk_and_glass_add_to_what_the_pixels_see() -> None:

@@ -312,6 +312,21 @@ MUTATIONS = (
         FLOODS + "test_a_delay_moves_the_mean_time_of_light_and_loses_none_but_at_the_ends",
     ),
     Mutation(
+        "floods: the second vertex of a beam in a direction of uniform density", "flood.py",
+        "first.power * np.pi * brdf(", "first.power * 2 * np.pi * dots(first.normal, out) * brdf(",
+        "tests/capture/test_beam.py::test_two_bounces_inside_of_a_sphere_have_their_closed_form",
+    ),
+    Mutation(
+        "floods: the leg between two vertices of a beam takes no time", "flood.py",
+        "first.legs_m[met] + between,", "first.legs_m[met],",
+        "tests/capture/test_beam.py::test_two_bounces_inside_of_a_sphere_have_their_closed_form",
+    ),
+    Mutation(
+        "floods: light by angle all at the lower node", "flood.py",
+        "(np.minimum(low + 1, count - 1), node - low)", "(low, node - low)",
+        "tests/capture/test_beam.py::test_light_by_angle_adds_up_and_follows_the_cosine",
+    ),
+    Mutation(
         "floods: laser points count alike whatever their share", "problem.py",
         "share = capture.laser.shares if", "share = 0.0 * capture.laser.shares + 1 / len(capture.laser.targets) if",
         FLOODS + "test_a_flood_whose_first_point_has_all_light_is_that_point_alone",
