@@ -31,8 +31,9 @@ def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, mending: boo
 
 
 @pytest.mark.parametrize("mending", [False, True])
-def test_a_kill_of_a_build_of_sequences_loses_nothing(tmp_path: Path, mending: bool) -> None:
-    check(harm.kills_between_steps(3, tmp_path, mending, harm.SHORT_SEQUENCES), 3)
+@pytest.mark.parametrize("number", [3, pytest.param(None, marks=pytest.mark.nightly)])
+def test_a_kill_of_a_build_of_sequences_loses_nothing(tmp_path: Path, mending: bool, number: int | None) -> None:
+    check(harm.kills_between_steps(number, tmp_path, mending, harm.SHORT_SEQUENCES), number or 50)
 
 
 @pytest.mark.parametrize("kind", ["dataset.json", "coordinate", "sharded field", "small field"])
