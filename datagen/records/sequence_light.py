@@ -37,7 +37,8 @@ class SequenceLight:
     overflow : (F, L, P) energy that arrives outside the window.
     laser_points : (F, L, 3) where each laser ray met the scene, metres, as in `Transient`.
     relative_error : (F,) relative L2 error of the light of each frame, as claimed; NaN where it is not known.
-    met_target : (F,) whether the target is met, as in `Transient`; None with a number of samples.
+    met_target : (F,) whether the target is met, as in `Transient`; None with a number of samples. Of parts that move
+        and share their light, `part_target` is of what they bring less what they block, of all frames together.
     part_errors : object → (F,) estimated relative L2 error of its own light; NaN where nothing is claimed.
     samplers : component → how its light was found: "shared cuts" is what stands once, and what moves by itself;
         "frames: " before a sampler of `Transient` is each frame by itself, with the same random numbers.

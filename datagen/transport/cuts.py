@@ -505,13 +505,13 @@ class _Seen(NamedTuple):
 def _first_look(cuts: Cuts) -> _Seen:
     """What is seen at a look at some histograms, of few elements each; at all, if no light falls into the window."""
     H = cuts.pairs.histograms
-    some = _spread(cuts, H, FEW)
+    some = spread_evenly(cuts, H, FEW)
     some = some[:: max(len(some) // LOOKED_AT, 1)]
     seen = _look(cuts, some, -(-LOOKED_AT // len(some)), LOOK, 0)
     return seen if seen.light.any() else _look(cuts, np.arange(H), 1, max(SECOND_LOOK // H, LOOK), 90)
 
 
-def _spread(cuts: Cuts, count: int, most: int, *numbers: int) -> Ints:
+def spread_evenly(cuts: Cuts, count: int, most: int, *numbers: int) -> Ints:
     """Up to `most` of `count` things, drawn evenly."""
     if count <= most:
         return np.arange(count)
@@ -523,7 +523,7 @@ def _look(cuts: Cuts, which: Ints, times: int, most: int, number: int) -> _Seen:
     """What some runs tell of a few elements of some histograms, with up to so many of their laser points."""
     coarse, runs = np.full(cuts.groups.max() + 1, np.inf), list[Run]()
     for turn in range(number, number + times):
-        points = _spread(cuts, cuts.points, most, turn)
+        points = spread_evenly(cuts, cuts.points, most, turn)
         runs.append(cuts.run(which, coarse, turn, points))
     # Those that are lit stand for all; and means of runs, which are independent.
     more, n = cuts.points / min(most, cuts.points), len(runs)
@@ -549,7 +549,7 @@ def _pilot(cuts: Cuts, seen: _Seen, target: float) -> tuple[_Known, Floats, Floa
     """What runs of a few histograms tell; δ (G,) of the last of them, which is not much coarser than what follows, as
     of much finer elements it would tell nothing; and the finest δ (G,) with which a run stays within its elements."""
     H, bins = cuts.pairs.histograms, cuts.problem.capture.time.bins
-    few = np.tile(_spread(cuts, H, FEW), -(-FEWEST // H))
+    few = np.tile(spread_evenly(cuts, H, FEW), -(-FEWEST // H))
     more = H / len(few)
     cuts.error = _errors_from_look(cuts, seen, target)
     delta = COARSER * cuts.error

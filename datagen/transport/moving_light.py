@@ -70,19 +70,22 @@ class OwnLight:
         frame = cuts.problem.caster
         self.frame = np.array([*frame.center, frame.half_extent_m])
 
-    def run(self, jobs: Jobs, delta: float, error: float, number: int) -> tuple[Floats, Floats]:
-        """The light (2, F, n, T) of two replicates of some histograms, of elements that bring at most `delta`
-        photons, and what is outside of the window (2, F, n).
+    def run(self, jobs: Jobs, delta: Floats, error: Floats, number: int) -> tuple[Floats, Floats]:
+        """The light (2, F, n, T) of two replicates of some histograms, of elements that bring at most `delta` (F,)
+        photons in each frame, and what is outside of the window (2, F, n).
 
-        error : L2 error that a histogram may have, photons. number : of the run; each has random numbers of its own,
-        which are the same in all frames.
+        error : (F,) L2 error that a histogram may have, photons. number : of the run; each has random numbers of its
+        own, which are the same in all frames.
         """
         cuts, shape = self.cuts, jobs.frame.shape
         light, outside = np.zeros((2, *shape, cuts.problem.capture.time.bins)), np.zeros((2, *shape))
         instants = len(self.mover.pose)
         # Of n instants with noise of their own each may have √n of the error, and n times as much in an element.
-        coarse, noisy = np.full(len(self.slot), delta * instants), np.full(len(self.slot), error * instants**0.5)
-        asked = Asked(coarse, self.slot, noisy, cuts.straight, 1.0)
+        every_part = np.ones(len(self.slot))
+        asked = [
+            Asked(instants * most * every_part, self.slot, instants**0.5 * own * every_part, cuts.straight, 1.0)
+            for most, own in zip(delta, error, strict=True)
+        ]
         squares = cuts.squares[jobs.pixel]
         for count in np.unique(squares):
             every = np.flatnonzero(squares == count)
@@ -97,7 +100,7 @@ class OwnLight:
                         both[:], over[:] = 0.0, 0.0
                         for s in range(instants):
                             seed = cuts.seed(5, number, self.mover.part, first, r + 2 * s)
-                            self._add(own, f, s, of, pool, asked, r, seed, both, over)
+                            self._add(own, f, s, of, pool, asked[f], r, seed, both, over)
                         light[r, f, some], outside[r, f, some] = both / instants, over / instants
         return light, outside
 

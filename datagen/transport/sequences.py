@@ -221,9 +221,11 @@ def shared_light(
         light = _with_others(light, scene, whole, OtherComponents(capture, accuracy, seed, others), apart)
     for f in np.flatnonzero(hidden).tolist():
         light = _with_frame(light, f, _frame(scene, capture, whole[f], accuracy, seed))
-    met = light.relative_error <= MET * accuracy.target
-    for error in light.part_errors.values():
-        met &= ~(error > MET * accuracy.each_part)
+    # Of what moves not the own light is meant, which of somebody in dark clothes is less than the shadow, but both.
+    met = (light.relative_error <= MET * accuracy.target) & (moving.error_over_asked <= MET)
+    for name, error in light.part_errors.items():
+        if name not in moving.own:
+            met &= ~(error > MET * accuracy.each_part)
     samplers = {name: light.samplers[name] for name in components}
     if hidden.any():
         samplers["primary"] += f"; {hidden.sum()} frames by themselves, in which a mover is in the device's view"

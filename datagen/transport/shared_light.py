@@ -23,7 +23,7 @@ import numpy as np
 from datagen.records import Accuracy, Capture, Scene, Transient
 from datagen.records.arrays import Bools, Floats, Ints, l2_norm
 from datagen.transport.coincidence import set_apart
-from datagen.transport.cuts import CLOSE, COARSER, FAINT, FEW, SCATTER, SHAPES, SHARED, STEP, Cuts
+from datagen.transport.cuts import CLOSE, COARSER, FAINT, FEW, SCATTER, SHAPES, SHARED, STEP, Cuts, spread_evenly
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.memory import VALUES_AT_ONCE
 from datagen.transport.movers import Mover, movers_last, movers_of, places_before
@@ -41,6 +41,10 @@ SIDES = 24, 128
 CORNERS = 25.0
 """L2 error, over the light, of the shape in time of shadows, times the square of the cells along a side: 0.10
 with 16, 0.016 with 40, alike in all replicates."""
+PROFILE = 16
+"""Histograms of a first look at all frames."""
+AT_ONCE = 64
+"""Most frames of that look at once: with so many histograms of 512 bins they take 8 MB."""
 PILOTS = 8
 """Most pilots: boxes and persons took 2 to 5."""
 FALLS = 0.7
@@ -76,7 +80,7 @@ class Moving(NamedTuple):
     (F, H, T) light of its own. own_error : mover → (F,) L2 error of it, photons. blocked : static object → (F, H, T)
     what of the light by way of it is blocked. outside : (F, H) photons outside the window, with a sign. shape,
     change_shape : (F,) L2 errors that a frame, and its change from the frame before, may have in their shapes in
-    time, alike in both replicates, photons. rays : cast.
+    time, alike in both replicates, photons. asked : (F,) L2 errors that were asked of frames, photons. rays : cast.
     """
 
     light: Floats
@@ -87,11 +91,17 @@ class Moving(NamedTuple):
     outside: Floats
     shape: Floats
     change_shape: Floats
+    asked: Floats
     rays: float
 
     def error(self, frame: int) -> float:
         """L2 error of a frame's light that is claimed, photons."""
         return math.hypot(math.sqrt(SCATTER + SHARED) * l2_norm(self.apart[frame]), float(self.shape[frame]))
+
+    @property
+    def error_over_asked(self) -> float:
+        """What is claimed over what was asked of all frames together, in which each counts alike."""
+        return math.sqrt(np.mean([(self.error(f) / asked) ** 2 for f, asked in enumerate(self.asked)]))
 
     def change_error(self, frame: int) -> float:
         """L2 error of its change from the frame before that is claimed, photons."""
@@ -100,10 +110,10 @@ class Moving(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """How fine all frames are: delta and error of each mover's `OwnLight.run`, and `side` of `Shadows.run`."""
+    """How fine all frames are: delta (F,) of each mover's `OwnLight.run`, and error (F,); `side` of `Shadows.run`."""
 
-    delta: list[float]
-    error: float
+    delta: list[Floats]
+    error: Floats
     side: int
 
 
@@ -139,7 +149,7 @@ def moving_light(static: Static) -> Moving:
     found = Moving(
         np.zeros((F, H, T)), np.zeros((F, H, T)), {own.mover.name: np.zeros((F, H, T)) for own in owns},
         {own.mover.name: np.zeros(F) for own in owns}, {name: np.zeros((F, H, T)) for name in shadows.parts},
-        np.zeros((F, H)), np.zeros(F), np.zeros(F), 0.0,
+        np.zeros((F, H)), np.zeros(F), np.zeros(F), effort.error * math.sqrt(H * (1 + len(owns))), 0.0,
     )  # fmt: skip
     # With more numbers at once, memory that is new takes a third of the time; pictures of four instants take as much.
     step = max(VALUES_AT_ONCE // (2 * F * T * (2 + len(shadows.parts)) * -(-shadows.instants // 4)), 1)
@@ -183,7 +193,8 @@ def _add(
 
 
 class _Pilot(NamedTuple):
-    """What a run of some histograms in some frames tells: both replicates of the light (2, …), of 1/`more` of all."""
+    """What a run of some histograms in some frames tells: both replicates of the light (2, …) over the weights of the
+    frames, of 1/`more` of all."""
 
     both: Floats
     more: float
@@ -205,26 +216,83 @@ def _moving(looks: Sequence[_Pilot], blocked: _Pilot) -> _Pilot:
     return _Pilot(sum((look.both for look in looks), start=-blocked.both), blocked.more)
 
 
-def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort:
-    """How fine all frames have to be, from a pilot over some histograms, each in some frame."""
+class _Piloted(NamedTuple):
+    """Histograms of a pilot, each in some frame.
+
+    jobs : of each frame that is looked at. weights : (F,) of all frames. more : what all histograms in all frames are
+    to those of the pilot.
+    """
+
+    jobs: list[Jobs]
+    weights: Floats
+    more: float
+
+    @classmethod
+    def of(cls, cuts: Cuts, weights: Floats) -> _Piloted:
+        """As many as `FEW`, spread over histograms, and, by a permutation, over frames."""
+        F, H = len(weights), cuts.pairs.histograms
+        count = min(FEW, F * H)
+        rng = np.random.default_rng(cuts.seed(7))
+        histogram = np.resize(spread_evenly(cuts, H, FEW), count)
+        frame = rng.permutation(np.arange(count) * F // count % F)
+        each = [(histogram[frame == f], f) for f in np.unique(frame)]
+        return cls([Jobs.of(cuts, some, np.full((1, len(some)), f)) for some, f in each], weights, F * H / count)
+
+    def look(self, own: OwnLight, delta: float, error: float, number: int) -> _Pilot:
+        """At the own light of a mover, of elements that bring at most `delta` in a frame of weight 1."""
+        found = []
+        for jobs in self.jobs:
+            weight = self.weights[jobs.frame[:, 0]]
+            found.append(own.run(jobs, delta * weight, error * weight, number)[0] / weight)
+        return _Pilot(np.concatenate(found, axis=2), self.more)
+
+    def look_at(self, shadows: Shadows) -> _Pilot:
+        """At what all movers block."""
+        found = [
+            shadows.run(jobs, SIDE, 1)[0].sum(axis=1) / self.weights[jobs.frame[:, 0]] for jobs in self.jobs
+        ]  # fmt: skip
+        return _Pilot(np.concatenate(found, axis=2), self.more)
+
+
+def _weights(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Floats:
+    """(F,) by how much more or less light moves in a frame than on average, from a coarse look at few histograms.
+
+    Errors are asked in proportion: somebody who comes near brings a hundred times the light that he brought from
+    afar, and frames in which he is far are to be known, too.
+    """
     F, H = static.frames, cuts.pairs.histograms
-    count = min(FEW, F * H)
-    rng = np.random.default_rng(cuts.seed(7))
-    # Evenly spread over histograms, and, by a permutation, over frames.
-    histogram = (np.arange(count) * H // count) % H if count <= H else np.arange(count) % H
-    frame = rng.permutation(np.arange(count) * F // count % F)
-    jobs, more = Jobs.of(cuts, histogram, frame[None]), F * H / count
+    some, square = spread_evenly(cuts, H, PROFILE), np.zeros(F)
+    for frames in np.array_split(np.arange(F), -(-F // AT_ONCE)):
+        jobs, any_size = Jobs.of(cuts, some, np.tile(frames[:, None], len(some))), np.full(len(frames), np.inf)
+        light = -shadows.run(jobs, SIDE, 0)[0].sum(axis=1).mean(axis=0)
+        for own in owns:
+            light += own.run(jobs, any_size, any_size, 0)[0].mean(axis=0)
+        square[frames] = np.einsum("fht,fht->f", light, light) * H / len(some)
+    # What is fainter than what counts as an object's light is known no better than if it counted.
+    least = max(FAINT * l2_norm(static.light.total), static.problem.accuracy.faint_part / math.sqrt(F), 1e-100)
+    norm = np.maximum(np.sqrt(square), least)
+    # In steps, so that neighbouring frames mostly have the same cuts, and less noise in their change.
+    return np.asarray(np.exp2(np.round(np.log2(norm / math.sqrt(np.square(norm).mean())))))
+
+
+def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort:
+    """How fine all frames have to be, from a pilot over some histograms, each in some frame. All norms and errors in
+    it are of light over the weights of its frames, so that each frame counts alike."""
+    F, H = static.frames, cuts.pairs.histograms
+    weights = _weights(static, cuts, owns, shadows) if F > 1 else np.ones(1)
+    pilot = _Piloted.of(cuts, weights)
+    count = sum(len(jobs.laser) for jobs in pilot.jobs)
     whole = math.sqrt(F) * l2_norm(static.light.total)
-    blocked = _Pilot(shadows.run(jobs, SIDE, 1)[0].sum(axis=1), more)
+    blocked = pilot.look_at(shadows)
     # Of each mover, and of their shadows, an equal share.
     share, per = math.sqrt(1.0 / (1 + len(owns))), math.sqrt(F * H)
-    looks = [_Pilot(own.run(jobs, np.inf, np.inf, 1)[0], more) for own in owns]
+    looks = [pilot.look(own, np.inf, np.inf, 1) for own in owns]
     asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
     delta, again, few = np.full(len(owns), COARSER * asked / per), *np.full((2, len(owns)), True)
     for turn in range(PILOTS):
         for m in np.flatnonzero(again).tolist():
             before = owns[m].samples
-            looks[m] = _Pilot(owns[m].run(jobs, delta[m], asked / per, 10 + turn)[0], more)
+            looks[m] = pilot.look(owns[m], delta[m], asked / per, 10 + turn)
             few[m] = owns[m].samples - before < 2 * count * ELEMENTS
         # With less noise there is less light than the look seemed to meet.
         asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
@@ -238,7 +306,8 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
     side = max(
         SIDE * (max(blocked.error, 1e-100) / asked) ** (1.0 / FINER), math.sqrt(CORNERS * blocked.norm / asked)
     )  # fmt: skip
-    return Effort(list(delta), asked / per, 2 * round(0.5 * float(np.clip(side, *SIDES))))
+    cells = 2 * round(0.5 * float(np.clip(side, *SIDES)))
+    return Effort([of * weights for of in delta], asked / per * weights, cells)
 
 
 def _error_asked(static: Static, norm: float, whole: float) -> float:
