@@ -56,6 +56,7 @@ from .records import Clock as Clock
 from .records import Lambertian as Lambertian
 from .records import Laser as Laser
 from .records import Material as Material
+from .records import MeasuredByAngle as MeasuredByAngle
 from .records import Moves as Moves
 from .records import OrenNayar as OrenNayar
 from .records import Part as Part

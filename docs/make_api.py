@@ -78,6 +78,7 @@ CHECKED = {
     "_known_materials": "materials of the catalogue",
     "checked_wavelength_nm": "≥ 532, ≤ 1550",
     "_existing_file": "a file",
+    "_is_table": "2 to 64 numbers ≥ 0, not all 0",
     "_existing_folder": "a folder with meshes",
 }
 """Validator of `datagen.config` → what it allows, in words."""

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from datagen import GGX, Lambertian, OrenNayar, Phong, Retroreflector, SinLobe
+from datagen import GGX, Lambertian, MeasuredByAngle, OrenNayar, Phong, Retroreflector, SinLobe
 from datagen.records import Material
 from datagen.transport.brdf.retroreflector import concentration
 
@@ -32,7 +32,7 @@ class Kind:
     laws: tuple[Material, ...]
     broad: dict[str, Material]
     highest: Callable[[Any], float]
-    read: tuple[Material, dict[str, float]]
+    read: tuple[Material, dict[str, Any]]
     keys: dict[str, tuple[float, float]] = field(default_factory=dict)
     matt: tuple[Material, ...] = ()
     axis: Literal["normal", "mirror", "incoming"] = "normal"
@@ -97,6 +97,18 @@ KINDS: dict[str, Kind] = {
          "sin lobe xyz": SinLobe(0.6, axis=(1.0, 1.0, 1.0))},
         lambda material: 0.5,
         (SinLobe(0.6), {}),
+    ),
+    "measured_by_angle": Kind(
+        (MeasuredByAngle(0.7, reflectance=(0.2, 0.3, 0.35, 0.5, 0.6)), MeasuredByAngle(1.0, reflectance=(3.0, 1.0)),
+         MeasuredByAngle(1.0, reflectance=(0.0, 0.4, 0.0, 0.0, 1.0, 0.2)),
+         MeasuredByAngle(0.9, reflectance=(1.0, 0.0, 0.0, 0.0))),
+        {"by angle, darker aslant": MeasuredByAngle(0.6, reflectance=(0.1, 0.3, 0.5)),
+         "by angle, brighter aslant": MeasuredByAngle(0.6, reflectance=(0.9, 0.5, 0.4, 0.3, 0.3)),
+         "by angle, a peak": MeasuredByAngle(0.6, reflectance=(0.0, 0.1, 0.6, 0.1, 0.2))},
+        # f cosθ_out ≤ g_max / (π ḡ), and ḡ is least where g falls from 1 at grazing to 0 over the first third.
+        lambda material: 27 / math.pi,
+        (MeasuredByAngle(0.6, reflectance=(0.3, 0.5, 0.6)), {"reflectance": [0.3, 0.5, 0.6]}),
+        matt=(MeasuredByAngle(0.4), MeasuredByAngle(0.4, reflectance=(2.0, 2.0, 2.0))),
     ),
 }  # fmt: skip
 """By their names in a configuration."""

@@ -226,7 +226,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 Call = tuple[Callable[..., object], dict[str, Any]]
-MATERIALS = ("GGX", "Lambertian", "Material", "OrenNayar", "Phong", "Retroreflector", "SinLobe")
+MATERIALS = ("GGX", "Lambertian", "Material", "MeasuredByAngle", "OrenNayar", "Phong", "Retroreflector", "SinLobe")
 POINTS = {"center": (0, 0, 1), "right": (0, 0.1, 0), "up": (0, 0, 0.1)}
 WITH: dict[str, Callable[[Made], Call]] = {
     "Accuracy": lambda m: (dg.Accuracy, {}),

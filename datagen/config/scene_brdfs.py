@@ -6,11 +6,12 @@ import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from datagen.config.base import Settings
 from datagen.config.distributions import Distribution, Fraction, draw, within
-from datagen.records import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
+from datagen.errors import InputError
+from datagen.records import GGX, Lambertian, Material, MeasuredByAngle, OrenNayar, Phong, Retroreflector, SinLobe
 from scene_library.materials import MATERIALS
 
 
@@ -97,7 +98,35 @@ class RetroreflectorBrdf(_Brdf):
     """Share of the albedo in the lobe, the rest is diffuse."""
 
 
+def _is_table(reflectance: tuple[float, ...]) -> tuple[float, ...]:
+    try:
+        return MeasuredByAngle(1.0, reflectance).reflectance
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+class MeasuredByAngleBrdf(_Brdf):
+    """Reflectance by angle as measured, such as `datagen compare --fit angles` finds it."""
+
+    record = MeasuredByAngle
+    kind: Literal["measured_by_angle"] = "measured_by_angle"
+    reflectance: Annotated[tuple[float, ...], AfterValidator(_is_table)]
+    """2 to 64 numbers ≥ 0, not all 0, for evenly spaced cosines from 0, grazing incidence, to 1; only their ratios
+    count, since `albedo` says how much light leaves at the angle where it is most."""
+
+    def material(self, albedo: float, rng: np.random.Generator) -> Material:
+        """The material; nothing is drawn."""
+        return MeasuredByAngle(albedo, self.reflectance)
+
+
 BrdfSettings = Annotated[
-    LambertianBrdf | CatalogueBrdf | SinLobeBrdf | PhongBrdf | OrenNayarBrdf | GGXBrdf | RetroreflectorBrdf,
+    LambertianBrdf
+    | CatalogueBrdf
+    | SinLobeBrdf
+    | PhongBrdf
+    | OrenNayarBrdf
+    | GGXBrdf
+    | RetroreflectorBrdf
+    | MeasuredByAngleBrdf,
     Field(discriminator="kind"),
 ]

@@ -152,6 +152,47 @@ class GGX(Material):
         self._check("f0", 0.0, 1.0, "it is a reflectance")
 
 
+MAX_ANGLES = 64
+
+
+@dataclass(frozen=True)
+class MeasuredByAngle(Material):
+    """A surface whose reflectance was measured by angle, such as `compare(fit=("angles",))` finds it.
+
+        f = albedo / π · g(cosθ_in) g(cosθ_out) / (g_max ḡ),  g = √reflectance,  ḡ = ∫ 2 c g(c) dc
+
+    A laser beside its sensor measures f only back to where light comes from, which is in proportion to the
+    `reflectance` at this angle. That f is a product of one factor for each direction is an assumption; it is
+    reciprocal, and of light at the cosine c the share albedo · g(c) / g_max leaves again.
+
+    albedo : share of the light that leaves at the incidence where it is largest, 0 … 1.
+    reflectance : 2 to 64 numbers ≥ 0, not all 0, of which only the ratios count: f(c, c) at the cosines 0 … 1, evenly
+        spaced, from grazing incidence to the normal's. Between them g is linear.
+
+    >>> import datagen as dg
+    >>> cloth = dg.MeasuredByAngle(0.4, reflectance=(0.2, 0.3, 0.36, 0.4, 0.4))  # darker where it is seen aslant
+    >>> dg.MeasuredByAngle(0.4, reflectance=(0.0, 0.0))
+    Traceback (most recent call last):
+    datagen.errors.InputError: MeasuredByAngle.reflectance = (0.0, 0.0): must be 2 to 64 numbers ≥ 0, not all 0
+    """
+
+    reflectance: tuple[float, ...] = (1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            values = tuple(float(value) for value in self.reflectance)
+        except (TypeError, ValueError):
+            values = ()
+        usable = all(0.0 <= value < math.inf for value in values) and any(values)
+        if not (2 <= len(values) <= MAX_ANGLES and usable):
+            raise InputError(
+                f"MeasuredByAngle.reflectance = {shown(self.reflectance)}: must be 2 to {MAX_ANGLES} numbers "
+                "≥ 0, not all 0"
+            )
+        object.__setattr__(self, "reflectance", values)
+
+
 HALF_DEGREE = math.pi / 360
 MIN_RETRO_HALF_WIDTH = 1e-3
 

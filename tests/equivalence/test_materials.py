@@ -23,6 +23,7 @@ from datagen import (
     Capture,
     Lambertian,
     Laser,
+    MeasuredByAngle,
     OrenNayar,
     Part,
     Phong,
@@ -138,6 +139,18 @@ def printed_sin_lobe(albedo: float, axis: tuple[float, float, float]) -> Brdf:
     return lambda n, w_in, w_out: albedo / 2 * sine(n, w_in) * sine(n, w_out)
 
 
+def printed_by_angle(albedo: float, reflectance: tuple[float, ...]) -> Brdf:
+    """Back to the light in proportion to the table, and the largest directional albedo by a numerical integral."""
+    cosines = np.linspace(0, 1, len(reflectance))
+    fine = (np.arange(100_000) + 0.5) / 100_000
+
+    def root(c: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.interp(c, cosines, np.sqrt(reflectance))
+
+    most = max(root(fine)) * (2 * np.pi * fine * root(fine)).mean()
+    return lambda n, w_in, w_out: albedo * root(dots(n, w_in)) * root(dots(n, w_out)) / most
+
+
 PRINTED: list[tuple[Material, Brdf]] = [
     (Lambertian(0.8), printed_lambertian(0.8)),
     (SinLobe(0.8, (0.3, 0.1, 1.0)), printed_sin_lobe(0.8, (0.3, 0.1, 1.0))),
@@ -146,6 +159,7 @@ PRINTED: list[tuple[Material, Brdf]] = [
     (GGX(0.9, roughness=0.4), printed_ggx(0.9, 0.4)),
     (GGX(0.9, roughness=0.8), printed_ggx(0.9, 0.8)),
     (Retroreflector(0.8, half_width_rad=0.3), printed_retroreflector(0.8, 0.3)),
+    (MeasuredByAngle(0.8, reflectance=(0.1, 0.2, 0.6, 0.5)), printed_by_angle(0.8, (0.1, 0.2, 0.6, 0.5))),
 ]
 
 

@@ -16,9 +16,17 @@ from numba.extending import overload
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats
-from datagen.transport.brdf import ggx, oren_nayar, phong, retroreflector, sin_lobe
+from datagen.transport.brdf import ggx, measured_by_angle, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
-from datagen.transport.brdf.table import GGX_LOBE, LAMBERTIAN, OREN_NAYAR, PHONG, RETROREFLECTOR, SIN_LOBE
+from datagen.transport.brdf.table import (
+    GGX_LOBE,
+    LAMBERTIAN,
+    MEASURED_BY_ANGLE,
+    OREN_NAYAR,
+    PHONG,
+    RETROREFLECTOR,
+    SIN_LOBE,
+)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -106,6 +114,8 @@ def _evaluate_other(
         return ggx.evaluate(values, w_in, w_out, cos_in, cos_out)
     if kind == RETROREFLECTOR:
         return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
+    if kind == MEASURED_BY_ANGLE:
+        return measured_by_angle.evaluate(values, cos_in, cos_out)
     raise ValueError(UNKNOWN)
 
 
@@ -126,6 +136,8 @@ def _other_evaluated_at_most(
         return ggx.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
     if kind == RETROREFLECTOR:
         return retroreflector.at_most(values, w_in, w_out, cos_in, cos_out, turn)
+    if kind == MEASURED_BY_ANGLE:
+        return measured_by_angle.at_most(values, cos_in, cos_out)
     raise ValueError(UNKNOWN)
 
 
@@ -147,6 +159,8 @@ def _pdf_other(
         return ggx.pdf(values, w_in, w_out, cos_in, cos_out)
     if kind == RETROREFLECTOR:
         return retroreflector.pdf(values, w_in, w_out, cos_out)
+    if kind == MEASURED_BY_ANGLE:
+        return measured_by_angle.pdf(values, cos_out)
     raise ValueError(UNKNOWN)
 
 
@@ -164,6 +178,8 @@ def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: fl
         return ggx.sample(values, n, w_in, cos_in, u, v)
     if kind == RETROREFLECTOR:
         return retroreflector.sample(values, n, w_in, u, v)
+    if kind == MEASURED_BY_ANGLE:
+        return measured_by_angle.sample(values, n, u, v)
     raise ValueError(UNKNOWN)
 
 
@@ -179,6 +195,8 @@ def _widen_other(kind: int, values: Floats, span: float) -> None:
         ggx.widen(values, span)
     elif kind == RETROREFLECTOR:
         retroreflector.widen(values, span)
+    elif kind == MEASURED_BY_ANGLE:
+        measured_by_angle.widen(values, span)
     else:
         raise ValueError(UNKNOWN)
 

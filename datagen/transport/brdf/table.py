@@ -11,8 +11,17 @@ from numpy.typing import NDArray
 
 from datagen.errors import InputError
 from datagen.records.arrays import Floats, Ints
-from datagen.records.materials import GGX, Lambertian, Material, OrenNayar, Phong, Retroreflector, SinLobe
-from datagen.transport.brdf import ggx, lambertian, oren_nayar, phong, retroreflector, sin_lobe
+from datagen.records.materials import (
+    GGX,
+    Lambertian,
+    Material,
+    MeasuredByAngle,
+    OrenNayar,
+    Phong,
+    Retroreflector,
+    SinLobe,
+)
+from datagen.transport.brdf import ggx, lambertian, measured_by_angle, oren_nayar, phong, retroreflector, sin_lobe
 
 
 @dataclass(frozen=True)
@@ -34,7 +43,7 @@ class Model:
 
 
 # The number of a kind is its place in MODELS. A new kind goes to the end; `models.py` calls its compiled functions.
-LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR = range(6)
+LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR, MEASURED_BY_ANGLE = range(7)
 MODELS = (
     Model(Lambertian, lambertian.row, lambertian.share, lambertian.lobe_width_rad),
     Model(SinLobe, sin_lobe.row, sin_lobe.share, sin_lobe.lobe_width_rad),
@@ -42,6 +51,7 @@ MODELS = (
     Model(OrenNayar, oren_nayar.row, oren_nayar.share, oren_nayar.lobe_width_rad),
     Model(GGX, ggx.row, ggx.share, ggx.lobe_width_rad),
     Model(Retroreflector, retroreflector.row, retroreflector.share, retroreflector.lobe_width_rad),
+    Model(MeasuredByAngle, measured_by_angle.row, measured_by_angle.share, measured_by_angle.lobe_width_rad),
 )
 
 NARROWEST_ROW = 4
