@@ -28,8 +28,10 @@ from .devices import compare as compare
 from .devices import compare_datasets as compare_datasets
 from .devices import device as device
 from .devices import read_frames as read_frames
+from .devices import read_materials as read_materials
 from .devices import read_parts as read_parts
 from .devices import write_device as write_device
+from .devices import write_materials as write_materials
 from .devices import zone_depth as zone_depth
 from .effects import Decision as Decision
 from .effects import EffectDecisions as EffectDecisions

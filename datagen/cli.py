@@ -93,23 +93,30 @@ def calibrate(
 @click.option(
     "--mesh", "paths", multiple=True, help="What stood there, in metres, as the poses have it; may be repeated."
 )
-@click.option("--fit", type=click.Choice(("hand", "mesh", "zones")), multiple=True, default=("hand", "mesh"),
-              show_default=True, help="What is fitted besides albedos and a floor; may be repeated.")  # fmt: skip
+@click.option(
+    "--fit",
+    type=click.Choice(("hand", "mesh", "zones", "bounces", "angles")),
+    multiple=True,
+    show_default=True,
+    default=("hand", "mesh", "bounces", "angles"),
+    help="What is fitted besides albedos and a floor; may be repeated.",
+)
 @click.option("--fixed", is_flag=True, help="Fit albedos and a floor alone.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 @click.option("--picture", help="Draw the best, median and worst histogram and the errors into this file, .png.")
 @click.option("--out", help="Write the device as fitted into this file, .yaml.")
+@click.option("--materials", help="Write what the surfaces are, as configurations have it, into this file, .yaml.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def compare(
     captures: str, simulated: str | None, name: str | None, paths: tuple[str, ...], fit: tuple[Any, ...],
-    fixed: bool, as_json: bool, picture: str | None, out: str | None, quiet: bool,
+    fixed: bool, as_json: bool, picture: str | None, out: str | None, materials: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Hold CAPTURES of a sensor at known poses against their simulation, or a dataset against a SIMULATED one."""
     import json
 
     from datagen.building.progress import Progress
     from datagen.devices import compare as held_against
-    from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device
+    from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device, write_materials
     from datagen.errors import InputError
 
     if picture is not None:
@@ -121,8 +128,9 @@ def compare(
             "compare: give CAPTURES with --device and --mesh, or two datasets: datagen compare REAL SIMULATED"
         )
     if simulated is not None:
-        if out is not None:
-            raise InputError(f"--out {out}: two datasets have no device that is fitted; leave it out")
+        for option, path in (("--out", out), ("--materials", materials)):
+            if path is not None:
+                raise InputError(f"{option} {path}: two datasets have no device that is fitted; leave it out")
         found = compare_datasets(captures, simulated)
     else:
         assert name is not None
@@ -133,6 +141,8 @@ def compare(
     say(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
     if out is not None and found.device is not None:
         write_device(found.device, out)
+    if materials is not None:
+        write_materials(found.materials, materials)
     if picture is not None:
         from datagen.report.device_plots import draw_comparison
 

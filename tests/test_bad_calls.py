@@ -350,6 +350,7 @@ WITH: dict[str, Callable[[Made], Call]] = {
     "presence_evidence": lambda m: (dg.presence_evidence, {
         "scene": room(), "capture": CAPTURE, "accuracy": FEW, "spad": SPAD, "exposure": EXPOSURE, "parts": ()}),
     "read_frames": lambda m: (dg.read_frames, {"path": m.file}),
+    "read_materials": lambda m: (dg.read_materials, {"path": m.file}),
     "read_parts": lambda m: (dg.read_parts, {"paths": [m.file]}),
     "replay": lambda m: (dg.replay, {"path": m.set, "scene": 0}),
     "scene_for": lambda m: (dg.scene_for, {"config": tiny(), "index": 0}),
@@ -362,6 +363,7 @@ WITH: dict[str, Callable[[Made], Call]] = {
         "scene": room(), "capture": CAPTURE, "clock": dg.Clock(2, 10), "accuracy": FEW}),
     "simulate_as_printed": lambda m: (dg.simulate_as_printed, {"scene": room(), "capture": CAPTURE}),
     "with_exposure_found": lambda m: (dg.with_exposure_found, {"config": tiny()}),
+    "write_materials": lambda m: (dg.write_materials, {"materials": {"box": WHITE}, "path": m.folder / "new.yaml"}),
     "write_device": lambda m: (dg.write_device, {
         "device": dg.device("tmf8820"), "path": m.folder / "new.yaml"}),
     "write_glb": lambda m: (dg.write_glb, {"scene": room(), "path": m.folder / "new.glb"}),

@@ -106,7 +106,7 @@ def _is_table(reflectance: tuple[float, ...]) -> tuple[float, ...]:
 
 
 class MeasuredByAngleBrdf(_Brdf):
-    """Reflectance by angle as measured, such as `datagen compare --fit angles` finds it."""
+    """Reflectance by angle as measured, such as `datagen compare --fit angles --materials FILE` finds it."""
 
     record = MeasuredByAngle
     kind: Literal["measured_by_angle"] = "measured_by_angle"

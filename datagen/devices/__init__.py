@@ -6,6 +6,7 @@ from datagen.devices.agreement import Fitted
 from datagen.devices.calibrate import Calibration, calibrate
 from datagen.devices.compare import Comparison, compare, compare_datasets, read_parts
 from datagen.devices.frames import Frames, read_frames
+from datagen.devices.material_files import read_materials, write_materials
 from datagen.devices.model import Device, device, recorded_by, without_reference, write_device
 from datagen.devices.sight import share_of_late_zones, zone_depth
 
@@ -21,10 +22,12 @@ __all__ = [
     "device",
     "device_names",
     "read_frames",
+    "read_materials",
     "read_parts",
     "recorded_by",
     "share_of_late_zones",
     "without_reference",
     "write_device",
+    "write_materials",
     "zone_depth",
 ]

@@ -5,9 +5,11 @@ mesh with albedo 1. Freed of saturation (`saturation.unsaturated`), counts are l
 floor, so these follow from a non-negative least-squares fit, each histogram weighted by 1 / ‖histogram‖. What is not
 linear is fitted around it by Levenberg–Marquardt, step by step, so that the gain of each step is seen:
 
-    hand    the sensor on its mount: a turn and a shift from each frame's `pose` to the aperture;
-    mesh    where the mesh stands: a turn and a shift from the file's coordinates to those of the poses;
-    zones   the device: place, gain and delay of each zone, their common size and blur, crosstalk, spread of light.
+    hand     the sensor on its mount: a turn and a shift from each frame's `pose` to the aperture;
+    mesh     where the mesh stands: a turn and a shift from the file's coordinates to those of the poses;
+    zones    the device: place, gain and delay of each zone, their common size and blur, crosstalk, spread of light;
+    bounces  light of two bounces, a factor for each pair of parts (linear, see `surfaces.py`);
+    angles   reflectance of each part by angle (linear, too).
 
 The fit, the choice of the sensor's mode among them, gets the frames of `frames.fitted_and_tested` alone. Errors are
 those of the other frames, simulated with the numbers that the fit found.
@@ -18,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -37,21 +39,26 @@ from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covaria
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, device, has_shape_of, recorded_by
 from datagen.devices.saturation import blind_periods, saturated, unsaturated
+from datagen.devices.surfaces import UNIT, Pieces, material_of
 from datagen.devices.zone_order import ORDERS, grid_of, zones_listed
 from datagen.errors import InputError, InputWarning
-from datagen.records import Lambertian, Part, Scene
+from datagen.records import Lambertian, Material, Part, Scene
 from datagen.records.arrays import Floats
 from datagen.records.checks import as_names, as_paths, check_callable, check_choice, check_kind, check_path, option
 from datagen.store.manifest import Manifest
 from datagen.store.scenes import Scenes
 from datagen.transport.brdf import MaterialTable
-from datagen.transport.flood import RAYS, at_sensor, glass_light, one_bounce_of_beam
+from datagen.transport.flood import RAYS, glass_light
 from datagen.transport.rays import Raycaster
 from scene_library.mesh_file import BadMesh
 from scene_library.meshes import read_mesh
 
-Group = Literal["hand", "mesh", "zones"]
-GROUPS: tuple[Group, ...] = ("hand", "mesh", "zones")
+Placed = Literal["hand", "mesh", "zones"]
+PLACED: tuple[Placed, ...] = ("hand", "mesh", "zones")
+"""Groups of numbers that the light is not linear in."""
+Group = Literal["hand", "mesh", "zones", "bounces", "angles"]
+GROUPS: tuple[Group, ...] = (*PLACED, "bounces", "angles")
+DEFAULT: tuple[Group, ...] = ("hand", "mesh", "bounces", "angles")
 FIT_RAYS = 1 << 12
 """Rays of a frame's light while it is fitted. The time of a fit grows with them; with 2048 fitted shifts err by
 0.2 mm more. Frames that test are simulated with `flood.RAYS`."""
@@ -69,6 +76,9 @@ Around the real pyramid the right order is 0.54 to 0.61 of every other one, befo
 PRIOR_WEIGHT = 0.01
 """Relative error of one histogram that costs a fit as much as a number that is one standard deviation of its prior
 away from the prior's mean; histograms err by several times as much."""
+ANGLES_DIFFER = 0.2
+"""Standard deviation of the difference of a part's reflectances at neighbouring cosines: that of rough and of weakly
+glossy surfaces. Angles that no frame shows follow from those that some do."""
 CONCAVE_RAD = 0.1
 """Angle of a concave edge from which it divides a mesh into parts; flatter ones are taken for curved surfaces."""
 TAIL_BINS = 8.0
@@ -84,8 +94,6 @@ MEANING = {
 }
 MOST_PARTS = 8
 """Pieces of a mesh that get albedos of their own. A mesh of more is one part: nine zones tell few albedos apart."""
-UNIT = 0.5
-"""Albedo that light is simulated with and then divided by."""
 TURN_STEP_RAD, SHIFT_STEP_M = 6e-3, 8e-4
 """Steps of the differences of turns and shifts. In smaller ones the noise of rays that pass an edge is larger."""
 
@@ -102,6 +110,8 @@ class Comparison(HistogramErrors):
     measured, modelled : (n, zones, bins) the tested histograms, counts.
     device : the device as fitted; None for two datasets.
     held_out : whether the fit did not see the tested histograms.
+    reflectances : part that was seen → its reflectance back to where light comes from, relative to a white matt
+        surface: one number, or one for each of evenly spaced cosines from 0 to 1 where it was fitted by angle.
     """
 
     source: str
@@ -112,6 +122,15 @@ class Comparison(HistogramErrors):
     modelled: Floats
     device: Device | None = None
     held_out: bool = False
+    reflectances: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def materials(self) -> dict[str, Material]:
+        """Part that was seen → its material, for scenes of your own (`write_materials` writes a file of them).
+
+        Raises `InputError` where more light would leave a surface than arrives.
+        """
+        return {part: material_of(part, values) for part, values in self.reflectances.items()}
 
     @cached_property
     def residual_sd(self) -> Floats:
@@ -156,6 +175,7 @@ class Comparison(HistogramErrors):
             "fitted": {name: {"value": of.value, "error": of.error} for name, of in self.fitted.items()},
             "steps": {name: {"median": a, "p90": b} for name, (a, b) in self.steps.items()},
             "left": self.left,
+            "reflectances": {part: list(values) for part, values in self.reflectances.items()},
         }
 
     def text(self) -> str:
@@ -220,7 +240,7 @@ def read_parts(paths: Sequence[str | Path]) -> list[Part]:
 
 
 def compare(
-    frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = ("hand", "mesh"),
+    frames: Frames, sensor: Device, parts: Sequence[Part], *, fit: Sequence[Group] = DEFAULT,
     doing: Callable[[str], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Frames of a sensor at known poses before a known mesh, held against their simulation.
@@ -232,7 +252,7 @@ def compare(
     sensor : the device that recorded them. If the catalogue has it in other modes, too (its name and `_`), that mode
         is taken which fits best, as frames do not say in which they were taken.
     parts : the mesh, in the coordinates of the poses; albedos are fitted (`read_parts`).
-    fit : what is fitted besides albedos and floor, in this order (see the module).
+    fit : what is fitted besides albedos and floor (see the module), in the order hand, mesh, zones, bounces, angles.
     doing : called with a line of text before each step of the work, which takes seconds.
 
     Raises
@@ -258,29 +278,29 @@ def compare(
     fitted = fitted[np.unique(np.linspace(0, len(fitted) - 1, FITTED_FRAMES).round().astype(int))]
     session, test = _Session.of(frames.some(fitted), parts, doing), frames.some(tested)
     groups: list[Group] = [group for group in GROUPS if group in fit]
-    starts = [_State(mode, np.zeros(6), np.zeros(6)) for mode in modes]
+    starts = [_State(mode, np.zeros(6), np.zeros(6), Pieces(session.scene.part_names)) for mode in modes]
     if not order_is_stated:
         _check_order(frames.source, [session.errors_by_order(start) for start in starts])
-    trials = [session.solved(start, groups[:1]) for start in starts]
+    trials = [session.after(start, groups[:1]) for start in starts]
     best = int(np.argmin([np.median(session.errors(state)) for state, _ in trials]))
     states, (state, numbers) = {"albedos, floor": starts[best]}, trials[best]
     for count, group in enumerate(groups, 1):
         if count > 1:
-            state, numbers = session.solved(state, groups[:count])
+            state, found = session.after(state, groups[:count])
+            numbers = numbers | found
         states[f"+ {group}"] = state
     steps = {}
     for what, state in states.items():
         doing(f"{len(test)} frames are simulated after a fit of {what.removeprefix('+ ')}")
-        albedos, floor, errors = session.linear(state)
-        modelled = session.at(test).simulated(state, albedos, floor)
+        linear = session.linear(state)
+        modelled = session.at(test).simulated(state, linear.numbers, linear.floor.value)
         error = relative_l2(modelled, test.histograms)
         steps[what] = float(np.median(error)), float(np.percentile(error, 90))
-    names, cycles = session.scene.part_names, state.device.counting.cycles
-    of_parts = {f"albedo of {name}": Fitted(a, e) for name, a, e in zip(names, albedos, errors, strict=False)}
-    of_floor = {"floor (counts a bin)": Fitted(floor * cycles, errors[-1] * cycles)}
+    cycles = state.device.counting.cycles
+    of_floor = {"floor (counts a bin)": Fitted(linear.floor.value * cycles, linear.floor.error * cycles)}
     return Comparison(
-        frames.source, state.device.name, of_parts | of_floor | numbers, steps, test.histograms, modelled,
-        state.device, held_out,
+        frames.source, state.device.name, linear.by_name | of_floor | numbers, steps, test.histograms, modelled,
+        state.device, held_out, linear.reflectances,
     )  # fmt: skip
 
 
@@ -389,11 +409,23 @@ def _check_alike(recorded: Manifest, simulated: Manifest, names: str) -> None:
 
 @dataclass(frozen=True)
 class _State:
-    """A device, and the turn (rotation vector) and shift, metres, of hand (in the sensor's frame) and mesh."""
+    """A device, the turn (rotation vector) and shift, metres, of hand (in the sensor's frame) and mesh, and what the
+    light is divided into."""
 
     device: Device
     hand: Floats
     mesh: Floats
+    pieces: Pieces
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A linear fit: numbers (pieces,), also by name with errors, the floor in events per cycle, and reflectances."""
+
+    numbers: Floats
+    floor: Fitted
+    by_name: dict[str, Fitted]
+    reflectances: dict[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -440,24 +472,22 @@ class _Session:
         pose[:3, 3] = back @ (pose[:3, 3] - self.centre - state.mesh[3:]) + self.centre
         return np.asarray(pose)
 
-    def light(self, state: _State, rays: int) -> Floats:
-        """(K + 1, n, zones, steps) light of each part with albedo 1, as the zones record it, and of the glass."""
-        found = []
-        for pose in self.poses:
-            capture, _, _ = state.device.at_pose(self.placed(state, pose))
-            parts, _ = one_bounce_of_beam(self.scene, capture, self.caster, self.materials, rays)
-            light = [at_sensor(part[None] / UNIT, capture)[0] for part in parts]
-            found.append(np.stack([*light, glass_light(capture)[0]]))
-        return np.stack(found, axis=1)
+    def light(self, state: _State, pose: Floats, rays: int) -> Floats:
+        """(pieces + 1, zones, steps) light of each piece with the number 1, as the zones record it, and of the
+        glass."""
+        capture, _, _ = state.device.at_pose(self.placed(state, pose))
+        light = state.pieces.light(self.scene, capture, self.caster, self.materials, rays)
+        return np.concatenate([light, glass_light(capture)])
 
-    def events(self, state: _State) -> Floats:
-        """(K + 1, n, zones, bins) events per cycle of that light, without saturation."""
-        light = self.light(state, FIT_RAYS)
+    def events(self, state: _State, rays: int = FIT_RAYS) -> Floats:
+        """(pieces + 1, n, zones, bins) events per cycle of that light, without saturation."""
         spad = replace(state.device.spad, mode="ideal", dead_time_s=0.0, dark_count_rate_hz=0.0)
         exposure = replace(state.device.exposure, cycles=1, ambient_rate_hz=0.0)
-        flat = light.reshape(-1, *light.shape[2:])
-        counted = expected_histogram(flat, state.device.axis, spad, exposure)
-        return counted.reshape(*light.shape[:3], -1)
+        counted = [
+            expected_histogram(self.light(state, pose, rays), state.device.axis, spad, exposure)
+            for pose in self.poses
+        ]
+        return np.stack(counted, axis=1)
 
     def errors_by_order(self, state: _State) -> dict[str, float]:
         """Order of the zones → median relative L2 of the histograms if the frames list them so; "" for the device's
@@ -473,28 +503,35 @@ class _Session:
         return errors
 
     def balanced(self, state: _State, given: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats]:
-        """The linear fit: coefficients (K + 1,) of the parts and the floor, and the modelled events (n, zones, bins);
-        the design (rows, K + 1) and the residuals (rows,) of the fit.
+        """The linear fit: numbers (pieces + 1,) of the pieces and the floor; the modelled events (n, zones, bins);
+        the design (rows, pieces + 1) and the residuals (rows,) of the fit, those of the frames first.
 
         given : the `events` of the state, where the caller has them.
         """
         device_ = state.device
-        *parts, glass = self.events(state) if given is None else given
+        *pieces, glass = self.events(state) if given is None else given
         events = unsaturated(self.counts, device_.counting.cycles, blind_periods(device_)) - glass
         weight = 1 / np.linalg.norm(events, axis=2, keepdims=True)
         floors = dark_count_rates(replace(device_.spad, dark_count_rate_hz=1.0), events.shape[1])[:, None]
-        columns = [(part * weight).ravel() for part in parts] + [(floors * np.ones_like(events) * weight).ravel()]
-        design = np.stack(columns, axis=1)
+        columns = [(piece * weight).ravel() for piece in pieces] + [(floors * np.ones_like(events) * weight).ravel()]
+        prior = PRIOR_WEIGHT / ANGLES_DIFFER * state.pieces.differences()
+        design = np.concatenate([np.stack(columns, axis=1), np.pad(prior, ((0, 0), (0, 1)))])
+        target = np.append((events * weight).ravel(), np.zeros(len(prior)))
         scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-        found = scipy.optimize.nnls(design / scale, (events * weight).ravel())[0] / scale
-        modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(parts)) + found[-1] * floors + glass
-        return found, modelled, design, (events * weight).ravel() - design @ found
+        found = scipy.optimize.nnls(design / scale, target)[0] / scale
+        modelled = np.einsum("k,knzb->nzb", found[:-1], np.stack(pieces)) + found[-1] * floors + glass
+        return found, modelled, design, target - design @ found
 
-    def linear(self, state: _State) -> tuple[Floats, float, Floats]:
-        """Albedos (K,), the floor in events per cycle, and standard errors (K + 1,), by frames, of both."""
-        found, _, design, residual = self.balanced(state)
-        errors = np.sqrt(np.maximum(np.diag(clustered_covariance(design, residual, len(self.counts))), 0.0))
-        return found[:-1], float(found[-1]), errors
+    def linear(self, state: _State) -> _Linear:
+        """The linear fit with all rays; standard errors are by frames."""
+        events = self.events(state, RAYS)
+        found, modelled, design, residual = self.balanced(state, events)
+        covariance = clustered_covariance(design, residual[: modelled.size], len(self.counts))
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        seen = np.array([piece.any() for piece in events[:-1]])
+        floor = Fitted(float(found[-1]), float(errors[-1]))
+        by_name = state.pieces.fitted(found[:-1], errors[:-1], seen)
+        return _Linear(found[:-1], floor, by_name, state.pieces.reflectances(found[:-1], seen))
 
     def residuals(self, state: _State, given: Floats | None = None) -> Floats:
         """(n, zones, bins) modelled minus measured counts, relative to each histogram's norm."""
@@ -506,14 +543,24 @@ class _Session:
         """(n, zones) relative L2 of the histograms."""
         return np.asarray(np.linalg.norm(self.residuals(state, given), axis=2))
 
-    def simulated(self, state: _State, albedos: Floats, floor: float) -> Floats:
+    def simulated(self, state: _State, numbers: Floats, floor: float) -> Floats:
         """(n, zones, bins) expected counts with all rays and the detector's own statistics."""
         width = state.device.time.bin_width_ps * 1e-12
         spad = replace(state.device.spad, dark_count_rate_hz=floor / width)
-        light = np.einsum("k,knzt->nzt", np.append(albedos, 1.0), self.light(state, RAYS))
+        whole = np.append(numbers, 1.0)
+        light = np.stack([np.einsum("k,kzt->zt", whole, self.light(state, pose, RAYS)) for pose in self.poses])
         return expected_histogram(light, state.device.axis, spad, state.device.exposure, approximate=True)
 
-    def solved(self, state: _State, groups: Sequence[Group]) -> tuple[_State, dict[str, Fitted]]:
+    def after(self, state: _State, groups: Sequence[Group]) -> tuple[_State, dict[str, Fitted]]:
+        """The state after a fit of groups, of which all but the last were fitted before; and the numbers that were
+        fitted, without those of pieces, which every linear fit finds."""
+        if groups and groups[-1] in ("bounces", "angles"):
+            # Places are not fitted anew: with more pieces they would follow the noise of the light of two bounces.
+            pieces = replace(state.pieces, angles="angles" in groups, bounces="bounces" in groups)
+            return replace(state, pieces=pieces), {}
+        return self.solved(state, [group for group in PLACED if group in groups])
+
+    def solved(self, state: _State, groups: Sequence[Placed]) -> tuple[_State, dict[str, Fitted]]:
         """The state after a fit of groups, and the numbers that were fitted."""
         if not groups:
             return state, {}
@@ -605,14 +652,14 @@ def _of_zones(state: _State) -> list[_Unknown]:
     return unknowns
 
 
-UNKNOWNS: dict[Group, Callable[[_State], list[_Unknown]]] = {
+UNKNOWNS: dict[Placed, Callable[[_State], list[_Unknown]]] = {
     "hand": _placing("hand", 0.05, 0.02),
     "mesh": _placing("mesh", 0.02, 0.005),
     "zones": _of_zones,
 }
 
 
-def _moved(state: _State, groups: Sequence[Group], values: Floats) -> _State:
+def _moved(state: _State, groups: Sequence[Placed], values: Floats) -> _State:
     """The state with the numbers of groups, in the order of their unknowns."""
     for group in groups:
         if group == "zones":

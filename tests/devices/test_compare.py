@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+import yaml
 from click.testing import CliRunner
 from damage import small_dataset
 from rooms import ONE_BOUNCE
@@ -68,6 +69,81 @@ def session() -> dg.Frames:
         light = dg.simulate(scene, capture, ONE_BOUNCE)
         histograms.append(rng.poisson(dg.expected_histogram(light.total, capture.time, spad, exposure)[0]))
     return dg.Frames("simulated", np.array(histograms, float), np.array(poses))
+
+
+def around(materials: dict[str, dg.Material], bounces: int, frames: int = 24) -> dg.Frames:
+    """Frames without noise around the thing on the table, from where their poses say, with light of more bounces."""
+    device, shapes, rng = dg.device("tmf8820"), bodies(), np.random.default_rng(4)
+    parts = [dg.Part(name, shapes[name], materials[name]) for name in shapes]
+    scene = dg.Scene.from_parts([replace(parts[0], role="relay_wall"), parts[1]])
+    accuracy = dg.Accuracy(samples=64, max_bounces=bounces, direct=True)
+    poses, histograms = [], []
+    for number, angle in enumerate(rng.permutation(frames) * 2 * np.pi / frames):
+        place = np.array([0.2 * np.cos(angle), 0.2 * np.sin(angle), rng.uniform(0.05, 0.3)])
+        poses.append(pose(place, np.array([*rng.uniform(-0.04, 0.04, 2), 0.04])))
+        capture, spad, exposure = device.at_pose(poses[-1])
+        light = dg.simulate(scene, capture, accuracy, seed=number)
+        histograms.append(dg.expected_histogram(light.total, capture.time, spad, exposure)[0])
+    return dg.Frames("simulated", np.array(histograms), np.array(poses))
+
+
+def test_two_bounces_are_found_as_products_of_albedos(tmp_path: Path) -> None:
+    """What paths of two bounces light, which the fit has from the rays of its beam. Without them the table is too
+    bright, and late light is left."""
+    frames, parts = around({"table": dg.Lambertian(0.8), "thing": dg.Lambertian(0.7)}, 2, 16), parts_of(tmp_path)
+    found = dg.compare(frames, alone(), parts, fit=("bounces",))
+    for pair in ("table then thing", "thing then table"):
+        factor = found.fitted[f"two bounces, {pair}"]
+        assert abs(factor.value / 0.56 - 1) < 0.1 and factor.error < 0.05
+    assert "two bounces, table then table" not in found.fitted
+    before, after = found.steps["albedos, floor"], found.steps["+ bounces"]
+    assert after[0] < 0.01 and after[1] < 0.5 * before[1]
+    assert abs(found.fitted["albedo of table"].value / 0.8 - 1) < 0.01
+
+
+def test_a_reflectance_by_angle_is_found_and_lights_scenes_as_it_was(tmp_path: Path) -> None:
+    """The material of a table that is darker aslant, and brighter along the normal, comes back from frames, through a
+    file, and into a configuration; a matt thing stays matt."""
+    table = dg.MeasuredByAngle(0.5, reflectance=(0.3, 0.35, 0.45, 0.55, 0.8))
+    frames, parts = around({"table": table, "thing": dg.Lambertian(0.4)}, 1), parts_of(tmp_path)
+    found = dg.compare(frames, alone(), parts, fit=("angles",))
+    assert found.steps["albedos, floor"][0] > 3 * found.steps["+ angles"][0] and found.steps["+ angles"][0] < 0.01
+    # π f of the table back to where light comes from, at the cosines that frames show.
+    level = 0.5 * np.sqrt(0.8) / (2 * np.trapezoid(_roots(table) * FINE, FINE)) / 0.8
+    np.testing.assert_allclose(found.reflectances["table"][1:], level * np.array(table.reflectance[1:]), rtol=0.04)
+    np.testing.assert_allclose(found.reflectances["thing"][1:], 0.4, rtol=0.04)
+    dg.write_materials(found.materials, tmp_path / "surfaces.yaml")
+    read = dg.read_materials(tmp_path / "surfaces.yaml")
+    assert set(read) == {"table", "thing"} and abs(read["table"].albedo / 0.5 - 1) < 0.05
+    values = yaml.safe_load((tmp_path / "surfaces.yaml").read_text())["table"]
+    config = config_from_mapping({"name": "x", "scene": {"materials": {"floor": values}}})
+    room = dg.generate_scene(config.scene, seed=1, index=0)
+    assert dict(zip(room.part_names, room.materials, strict=True))["floor"] == read["table"]
+    again = around(read, 1, frames=4)
+    original = around({"table": table, "thing": dg.Lambertian(0.4)}, 1, frames=4)
+    error = np.linalg.norm(again.histograms - original.histograms, axis=2)
+    assert np.median(error / np.linalg.norm(original.histograms, axis=2)) < 0.02
+
+
+FINE = np.linspace(0, 1, 20_001)
+
+
+def _roots(material: dg.MeasuredByAngle) -> Floats:
+    """√reflectance at `FINE`, linear between nodes."""
+    return np.asarray(np.interp(FINE, np.linspace(0, 1, len(material.reflectance)), np.sqrt(material.reflectance)))
+
+
+def test_a_surface_that_would_create_light_is_refused_in_a_line(tmp_path: Path) -> None:
+    found = Comparison("a", "b", {}, {}, np.ones((1, 1, 1)), np.ones((1, 1, 1)), reflectances={"plate": (1.2,)})
+    with pytest.raises(InputError, match=r"plate: 1\.20 of the light would leave it; .* raise counting.photons_per"):
+        _ = found.materials
+    for reflectance, material in (((0.4,), dg.Lambertian(0.4)), ((0.0, 0.0), dg.Lambertian(0.0))):
+        assert replace(found, reflectances={"plate": reflectance}).materials == {"plate": material}
+    with pytest.raises(InputError, match=r"materials: a: Phong; give Lambertian or MeasuredByAngle"):
+        dg.write_materials({"a": dg.Phong(0.5)}, tmp_path / "a.yaml")
+    (tmp_path / "bad.yaml").write_text("table: {albedo: 2}")
+    with pytest.raises(InputError, match=r"bad.yaml: table: albedo"):
+        dg.read_materials(tmp_path / "bad.yaml")
 
 
 def parts_of(folder: Path) -> list[dg.Part]:
@@ -191,6 +267,7 @@ def test_the_command_writes_numbers_picture_and_device(
     command = ["compare", str(tmp_path / "frames.npz"), "--device", "tmf8820", "--fixed", "--json"]
     command += ["--mesh", str(tmp_path / "table.stl"), "--mesh", str(tmp_path / "thing.stl")]
     command += ["--picture", str(tmp_path / "fit.png"), "--out", str(tmp_path / "mine.yaml")]
+    command += ["--materials", str(tmp_path / "surfaces.yaml")]
     monkeypatch.setattr("datagen.building.progress.LINE_S", 0.0)
     result = CliRunner().invoke(cli, command)
     assert result.exit_code == 0, result.exception
@@ -200,6 +277,8 @@ def test_the_command_writes_numbers_picture_and_device(
     assert 0.05 < found["median_relative_l2"] < found["p90_relative_l2"] and found["tested_frames"] == 8
     assert set(found["fitted"]) == {"albedo of table", "albedo of thing", "floor (counts a bin)"}
     assert (tmp_path / "fit.png").stat().st_size > 10_000 and dg.device(tmp_path / "mine.yaml").time.bins == 128
+    surfaces = dg.read_materials(tmp_path / "surfaces.yaml")
+    assert surfaces["table"].albedo == pytest.approx(found["fitted"]["albedo of table"]["value"], rel=1e-3)
 
 
 def test_two_datasets_are_compared(tmp_path: Path) -> None:
