@@ -58,13 +58,6 @@ def read_materials(path: str | Path) -> dict[str, Material]:
     (distributions are drawn once).
 
     Raises `InputError` for a file that is missing or damaged, with the key that is wrong.
-
-    Examples
-    --------
-    >>> import datagen as dg
-    >>> dg.write_materials({"table": dg.MeasuredByAngle(0.4, reflectance=(0.2, 0.4))}, "surfaces.yaml")
-    >>> dg.read_materials("surfaces.yaml")
-    {'table': MeasuredByAngle(albedo=0.4, reflectance=(0.2, 0.4))}
     """
     check_path("path", path, _NAME)
     values = read_yaml(Path(path), _NAME)
