@@ -352,15 +352,14 @@ def _change_error(light: SequenceLight) -> float:
     return error / known**0.5 if known > 0 else float("nan")
 
 
-def _share_below_zero(scene: Scene, light: SequenceLight) -> float:
+def _share_below_zero(light: SequenceLight) -> float:
     """Light below 0, of which counts are drawn as of 0, over the light that moving parts block: it is below 0 where
-    what they block is not known well enough. 0 where it is nowhere."""
-    clipped = blocked = 0.0
-    for frame in range(light.frames):
-        clipped -= float(np.minimum(light.total(frame), 0.0).sum())
-        brought = sum((light.parts[name][frame] for name in scene.moving if name in light.parts), start=0.0)
-        blocked += float(np.maximum(brought - light.moving[frame], 0.0).sum())
-    return clipped / blocked if clipped > 0 else 0.0
+    what they block is not known well enough. 0 where it is nowhere, or where frames share no light."""
+    if light.blocked is None:
+        return 0.0
+    clipped = -sum(float(np.minimum(light.total(frame), 0.0).sum()) for frame in range(light.frames))
+    blocked = float(light.blocked.sum())
+    return clipped / blocked if blocked > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -450,7 +449,7 @@ def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
     arrays |= _geometry(setup) | {"laser_time": setup.times.points}
     changing = {
         "transient.change_error": _change_error(light.frames),
-        "transient.clipped": _share_below_zero(setup.scene, light.frames),
+        "transient.clipped": _share_below_zero(light.frames),
     }
     parameters = _parameters(setup, at_once, counts) | changing | detectability
     return Sample(setup.index, arrays, parameters, setup.seconds)

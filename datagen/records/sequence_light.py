@@ -44,6 +44,8 @@ class SequenceLight:
         "frames: " before a sampler of `Transient` is each frame by itself, with the same random numbers.
     rays : component → rays that its light took in all frames.
     seconds : wall-clock seconds by stage, of all frames.
+    blocked : (F,) photons that moving parts take from the static light of three bounces; None where frames share no
+        light.
 
     Raises
     ------
@@ -66,6 +68,7 @@ class SequenceLight:
     samplers: Mapping[str, str] = field(default_factory=dict)
     rays: Mapping[str, float] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    blocked: Floats | None = None
 
     def __post_init__(self) -> None:
         check_kind("SequenceLight.time", self.time, TimeAxis)
@@ -83,6 +86,8 @@ class SequenceLight:
         check_reals("SequenceLight.laser_points", self.laser_points, (*frames, None, 3))
         check_reals("SequenceLight.relative_error", self.relative_error, frames)
         check_mapping("SequenceLight.part_errors", self.part_errors, np.ndarray, remedy="object → (F,) errors")
+        if self.blocked is not None:
+            check_reals("SequenceLight.blocked", self.blocked, frames)
         check_mapping("SequenceLight.samplers", self.samplers, str, remedy="component → sampler")
 
     def __repr__(self) -> str:

@@ -257,6 +257,7 @@ def _three_bounces(scene: Scene, times: Floats, static: Static, moving: Moving, 
         A.overflow + moving.outside.reshape(F, *shape[:2]), np.tile(A.laser_points, (F, 1, 1)),
         np.divide(error, norms, out=np.zeros(F), where=norms > 0), None, errors, {"primary": "shared cuts"},
         {"primary": A.rays["primary"] + moving.rays},
+        blocked=sum((of.sum(axis=(1, 2)) for of in moving.own.values()), start=-moving.light.sum(axis=(1, 2))),
     )  # fmt: skip
 
 
