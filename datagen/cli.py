@@ -55,18 +55,20 @@ def plan(config: str, scenes: int | None, workers: int, seconds: float, json_pat
 @click.option("--device", "name", required=True, help="What recorded it: a name of the catalogue, or a device file.")
 @click.option("--out", required=True, help="The device file to write, .yaml.")
 @click.option("--albedo", type=float, default=0.8, show_default=True, help="Of the plane.")
+@click.option("--plane", help="What it is made of, instead: a file of one material, as compare --materials has it.")
 @click.option("--nearest", type=float, default=0.12, show_default=True, help="Distance from which frames count, m.")
 @click.option("--all", "everything", is_flag=True, help="Fit all frames, and keep none back for the test.")
 @click.option("--picture", help="Draw fit and residuals into this file, .png.")
 @click.option("--quiet", is_flag=True, help="No progress.")
 def calibrate(
-    sweep: str, name: str, out: str, albedo: float, nearest: float, everything: bool, picture: str | None,
-    quiet: bool,
+    sweep: str, name: str, out: str, albedo: float, plane: str | None, nearest: float, everything: bool,
+    picture: str | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Fit a sensor's numbers to SWEEP, its frames before a plane at known distances, and write them as a device."""
     from datagen.building.progress import Progress
     from datagen.devices import calibrate as fit
-    from datagen.devices import device, read_frames, write_device
+    from datagen.devices import device, read_frames, read_materials, write_device
+    from datagen.errors import InputError
 
     if picture is not None:
         # A wrong name of the picture is found before the device file is written.
@@ -74,9 +76,18 @@ def calibrate(
 
         check_png(picture, "picture")
     frames = read_frames(sweep)
+    materials = [None] if plane is None else [*read_materials(plane).values()]
+    if len(materials) != 1:
+        raise InputError(f"--plane {plane}: holds {len(materials)} materials; leave the plane's alone in a file")
     with closing(Progress(not quiet)) as progress:
         found = fit(
-            frames, device(name), albedo=albedo, held_out=not everything, nearest_m=nearest, doing=progress.doing
+            frames,
+            device(name),
+            albedo=albedo,
+            held_out=not everything,
+            nearest_m=nearest,
+            plane=materials[0],
+            doing=progress.doing,
         )
     say(found.text())
     write_device(found.device, out)

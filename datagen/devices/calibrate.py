@@ -3,12 +3,12 @@
 The counts are first freed of saturation, which gives expected events per cycle λ (equation (1) of `saturation.py`). A
 plane at the distance z gives a zone
 
-    λ(t) = floor + glass + g ∫ w(u) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du            (2)
+    λ(t) = floor + glass + g ∫ w(u) r(θ(u)) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du     (2)
 
-over its footprint w, u the tangents of the direction and θ its angle from the axis, and the nominal share of what the
-other zones get. N and z₀ follow from brightness over distance, the rest from the shapes of the histograms: the pulse
-as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and blur, and each zone's delay
-by Gauss–Newton around it.
+over its footprint w, u the tangents of the direction, θ its angle from the axis and r the plane's reflectance, and
+the nominal share of what the other zones get. N and z₀ follow from brightness over distance, the rest from the shapes of
+the histograms: the pulse as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and
+blur, and each zone's delay by Gauss–Newton around it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from datagen.devices.agreement import Fitted, HistogramErrors, clustered_covaria
 from datagen.devices.frames import Frames, fitted_and_tested
 from datagen.devices.model import Device, recorded_by
 from datagen.devices.saturation import blind_periods, saturated, unsaturated
-from datagen.errors import InputError
+from datagen.devices.surfaces import reflectance_of
+from datagen.errors import InputError, shown
+from datagen.records import Lambertian, Material
 from datagen.records.arrays import Floats
 from datagen.records.checks import check_callable, check_flag, check_kind, check_number
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
@@ -97,7 +99,7 @@ class Calibration(HistogramErrors):
 
 def calibrate(
     frames: Frames, device: Device, *, albedo: float = 0.8, held_out: bool = True, nearest_m: float = NEAREST_M,
-    doing: Callable[[str], None] | None = None,
+    plane: Material | None = None, doing: Callable[[str], None] | None = None,
 ) -> Calibration:  # fmt: skip
     """A device whose numbers are those of the sensor that recorded a sweep before a plane.
 
@@ -106,6 +108,8 @@ def calibrate(
     frames : histograms and distances to a plane that the sensor faces squarely.
     device : what the sensor is nominally; what a plane does not tell (crosstalk, dead time, …) stays.
     albedo : of the plane, a diffuse one; the emitted light is known only relative to it.
+    plane : its material, where that is known better, such as by angle (`read_materials`); `albedo` does not count
+        then. Nobody can fit it to the sweep: each zone sees it at angles of its own, as if its gain were another.
     held_out : whether the second and fourth quarter of the distances are held out to test; else all are fitted, and
         tested.
     nearest_m : distance from which frames are used, metres.
@@ -120,6 +124,11 @@ def calibrate(
     check_flag("held_out", held_out)
     check_callable("doing", doing, "it gets a line of text")
     check_number("calibrate", "albedo", albedo, 1e-3, 1.0, "it is a share of the light")
+    if plane is not None:
+        check_kind("plane", plane, Material, remedy="such as dg.MeasuredByAngle(0.8, (0.5, 0.7, 0.8))")
+    plane = Lambertian(albedo) if plane is None else plane
+    if not (reflectance_of(plane, np.linspace(0.5, 1.0, 16)) > 0).all():
+        raise InputError(f"plane = {shown(plane)}: sends no light back at some angle below 60 degrees; name another")
     check_number("calibrate", "nearest_m", nearest_m, 0.0, FARTHEST_M, "metres; 12 cm is 0.12")
     if frames.distances_m is None:
         raise InputError(f"{frames.source}: has no distances (dist_to_plane); a sweep before a plane is needed")
@@ -140,8 +149,8 @@ def calibrate(
         raise InputError(f"{frames.source}: {len(usable)} frames from {nearest_m:g} m on; at least 8 are needed")
     doing = doing or (lambda what: None)
     fitted, tested = (usable[rows] for rows in fitted_and_tested(len(usable))) if held_out else (usable, usable)
-    fit = _Fit.of(frames.histograms[fitted], z[fitted], device, doing)
-    calibrated, numbers = fit.device(albedo)
+    fit = _Fit.of(frames.histograms[fitted], z[fitted], device, plane, doing)
+    calibrated, numbers = fit.device()
     return Calibration(
         calibrated, numbers, z[tested], frames.histograms[tested], fit.histograms(z[tested]), held_out
     )  # fmt: skip
@@ -169,10 +178,10 @@ class _Fit:
     pulse: Floats
 
     @classmethod
-    def of(cls, counts: Floats, z: Floats, nominal: Device, doing: Callable[[str], None]) -> _Fit:
+    def of(cls, counts: Floats, z: Floats, nominal: Device, plane: Material, doing: Callable[[str], None]) -> _Fit:
         """The fit of counts (n, zones, bins) at distances z (n,)."""
         blind = blind_periods(nominal)
-        start = _Shape.of(nominal)
+        start = _Shape.of(nominal, plane)
         first = int(min(start.zero_bins.min(), nominal.time.zero_bin)) - BEFORE
         doing("cycles and distance offset are fitted to the brightness over distance")
         cycles, offset = _brightness(counts, z, blind, first)
@@ -208,7 +217,7 @@ class _Fit:
         events = light + self.glass + self.floor[:, None]
         return saturated(events, self.cycles, blind_periods(self.nominal))
 
-    def device(self, albedo: float) -> tuple[Device, dict[str, Fitted]]:
+    def device(self) -> tuple[Device, dict[str, Fitted]]:
         """The nominal device with the fitted numbers, and these with their errors."""
         nominal, shape = self.nominal, self.shape
         width_ps = 2e12 / (SPEED_OF_LIGHT_M_PER_S * shape.bins_per_m)
@@ -216,13 +225,13 @@ class _Fit:
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         source = "calibrated from a sweep before a plane"
         radius = nominal.zones.aperture_radius_mm * 1e-3
-        # A beam sends the share fading du / field into du, so that g, the factor before ∫ w fading cos³θ du / z² in
-        # (2), is photons · pde · albedo / π · A / field.
+        # A beam sends the share fading du / field into du, so that g, the factor before ∫ w r fading cos³θ du / z² in
+        # (2), is photons · pde / π · A / field.
         field = _lit(nominal)
         own = np.diag(shape.sharing) * self.brightness
         gains = own / shape.energies()
         top = float(gains.max())
-        photons = top * field / (nominal.counting.pde * albedo / np.pi * np.pi * radius**2)
+        photons = top * field / (nominal.counting.pde * radius**2)
         glass = self.glass.sum(axis=1) / (nominal.counting.pde * photons)
         start_ps = -BEFORE * width_ps
         zones = nominal.zones.model_copy(update={
@@ -245,7 +254,9 @@ class _Fit:
         of_time = ["time.bin_width_ps", "time.zero_bin", "pulse"]
         of_counting = ["counting.cycles", "counting.dark_count_rate_hz"]
         sources = nominal.sources | dict.fromkeys([*of_zones, *of_time, *of_counting], source)
-        sources["counting.photons_per_pulse"] = f"{source}, for its albedo {albedo:g} and the aperture and PDE stated"
+        sources["counting.photons_per_pulse"] = (
+            f"{source}, for its {_said(shape.plane)} and the aperture and PDE stated"
+        )
         device = nominal.model_copy(update={
             "zones": zones, "counting": counting, "time": time, "pulse": pulse, "sources": sources,
         })  # fmt: skip
@@ -273,6 +284,11 @@ def _lit(device: Device) -> float:
     )
     fading = np.exp(-0.5 * (across**2 + along[:, None] ** 2) / light.spread**2)
     return float(right * up * fading.mean())
+
+
+def _said(plane: Material) -> str:
+    """What the light is relative to, in words."""
+    return f"albedo {plane.albedo:g}" if isinstance(plane, Lambertian) else f"material {plane}"
 
 
 def _rounded(values: Floats, digits: int = 5) -> tuple[float, ...]:
@@ -332,7 +348,8 @@ class _Shape:
     the boxes relative to the nominal ones. shift : of all boxes, to the right and up, tangents. blur : tangents.
     distance : (zones,) of each box's middle from the axis, relative to the nominal one. zero_bins : (zones,)
     fractional bin of distance 0. sharing : (zones, zones) share of each zone's light that comes through the footprint
-    of each zone. spread : standard deviation of the beam that fades towards its edges, tangents; infinite: even.
+    of each zone. plane : its material. spread : standard deviation of the beam that fades towards its edges,
+    tangents; infinite: even.
     """
 
     nominal: Floats
@@ -343,10 +360,11 @@ class _Shape:
     blur: float
     distance: Floats
     zero_bins: Floats
+    plane: Material
     spread: float = np.inf
 
     @classmethod
-    def of(cls, device: Device) -> _Shape:
+    def of(cls, device: Device, plane: Material) -> _Shape:
         """That of a device as it stands."""
         width = device.time.bin_width_ps
         delays = np.array(device.zones.delays_ps or [0.0] * device.zones.count) / width
@@ -354,7 +372,7 @@ class _Shape:
         zones = device.zones.count
         blur = device.zones.blur or PRIORS["blur"][0]
         return cls(zone_boxes(device.zones), np.eye(zones), per_m, 1.0, (0.0, 0.0), blur, np.ones(zones),
-                   device.time.zero_bin + delays, device.light.spread or np.inf)  # fmt: skip
+                   device.time.zero_bin + delays, plane, device.light.spread or np.inf)  # fmt: skip
 
     @property
     def parameters(self) -> Floats:
@@ -379,14 +397,14 @@ class _Shape:
 
     @cached_property
     def _slants(self) -> tuple[Floats, Floats]:
-        """(SLANTS,) slants 1/cosθ, and (zones, SLANTS) the energy ∫ w cos³θ du of each zone at them."""
+        """(SLANTS,) slants 1/cosθ, and (zones, SLANTS) the energy ∫ w r cos³θ du of each zone at them."""
         x, y, w, h = self.boxes.T[:, :, None]
         reach = 1.2 * float((np.abs(np.stack([x, y])) + np.stack([w, h]) / 2).max() + 3 * self.blur)
         tangents = ((np.arange(RAYS_ALONG) + 0.5) / RAYS_ALONG * 2 - 1) * reach
         across = ndtr((tangents - x + w / 2) / self.blur) - ndtr((tangents - x - w / 2) / self.blur)
         upward = ndtr((tangents - y + h / 2) / self.blur) - ndtr((tangents - y - h / 2) / self.blur)
         slant = np.sqrt(1 + tangents[:, None] ** 2 + tangents**2)
-        faded = np.exp(-0.5 * (slant**2 - 1) / self.spread**2)
+        faded = np.exp(-0.5 * (slant**2 - 1) / self.spread**2) * reflectance_of(self.plane, 1 / slant)
         weights = across[:, None, :] * upward[:, :, None] * faded / slant**3 * (2 * reach / RAYS_ALONG) ** 2
         edges = np.linspace(1.0, slant.max() * (1 + 1e-9), SLANTS + 1)
         number = np.searchsorted(edges, slant.ravel(), side="right") - 1
@@ -394,7 +412,7 @@ class _Shape:
         return (edges[1:] + edges[:-1]) / 2, energy.astype(np.float64)
 
     def energies(self) -> Floats:
-        """(zones,) ∫ w cos³θ du."""
+        """(zones,) ∫ w r cos³θ du."""
         return np.asarray(self._slants[1].sum(axis=1))
 
     def arrivals(self, zone: int, metres: float, bins: int) -> Floats:

@@ -24,6 +24,7 @@ from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable, albedo
 from datagen.transport.flood import at_sensor, one_bounce_by_angle, one_bounce_of_beam, two_bounces_of_beam
 from datagen.transport.rays import Raycaster
+from datagen.transport.reference import brdf
 
 COSINES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Cosines at which the reflectance of a part is fitted; with nine, held-out frames of a pyramid are no nearer."""
@@ -92,6 +93,16 @@ class Pieces:
             for name, value, error, there in zip(self.names, values, errors, seen, strict=True)
             if there
         }
+
+
+def reflectance_of(material: Material, cosines: Floats) -> Floats:
+    """(…) π f of a material back to where light comes from, at cosines (…): `material_of` read the other way."""
+    table = MaterialTable.of((material,))
+    c = np.asarray(cosines, np.float64).ravel()
+    along = np.stack([np.sqrt(np.maximum(1 - c**2, 0.0)), np.zeros_like(c), c], axis=1)
+    up = np.tile([0.0, 0.0, 1.0], (len(c), 1))
+    f = brdf(table.kind, table.values, np.zeros(len(c), np.int64), up, along, along)
+    return np.asarray(np.pi * f).reshape(np.shape(cosines))
 
 
 def material_of(part: str, reflectance: tuple[float, ...]) -> Material:
