@@ -6,8 +6,8 @@ plane at the distance z gives a zone
     λ(t) = floor + glass + g ∫ w(u) r(θ(u)) cos³θ(u) / (z + z₀)² · pulse(t − delay − 2 (z + z₀) / (c cosθ)) du     (2)
 
 over its footprint w, u the tangents of the direction, θ its angle from the axis and r the plane's reflectance, and
-the nominal share of what the other zones get. N and z₀ follow from brightness over distance, the rest from the shapes of
-the histograms: the pulse as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and
+the nominal share of what the other zones get. N and z₀ follow from brightness over distance, the rest from the shapes
+of the histograms: the pulse as samples ≥ 0 of a linear least-squares problem, bin width, footprints' place, scale and
 blur, and each zone's delay by Gauss–Newton around it.
 """
 
