@@ -24,7 +24,7 @@ class Kind:
         compared with its definition.
     highest : a bound of f cosθ_out of a material, 1/sr and over its albedo, at any pair of directions.
     read : a material of albedo 0.6, and the keys of a configuration that give it.
-    keys : every such key, with a range of values that are allowed.
+    keys : every such key that takes a number, with a range of values that are allowed.
     matt : materials that are Lambert's law.
     axis : direction about which `lobe_sphere.py` lays out its cells: that of the lobe, or the normal.
     """

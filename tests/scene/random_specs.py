@@ -93,7 +93,9 @@ def _surface(rng: np.random.Generator) -> dict[str, Any]:
     if rng.random() < 0.5:
         kind = str(rng.choice([*KINDS, "catalogue"] if named else [*KINDS]))
         keys = KINDS[kind].keys if kind in KINDS else {}
-        surface["brdf"] = {"kind": kind, **{key: _range(rng, *bounds) for key, bounds in keys.items()}}
+        # A table is no range: it is as in the row of its kind.
+        given = KINDS[kind].read[1] if kind in KINDS else {}
+        surface["brdf"] = {"kind": kind, **given, **{key: _range(rng, *bounds) for key, bounds in keys.items()}}
     return surface
 
 
