@@ -128,12 +128,15 @@ def compare(
     from datagen.building.progress import Progress
     from datagen.devices import compare as held_against
     from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device, write_materials
+    from datagen.devices.material_files import check_materials_file
     from datagen.errors import InputError
 
     if picture is not None:
         from datagen.report.style import check_png
 
         check_png(picture, "picture")
+    if materials is not None:
+        check_materials_file(materials)
     if (simulated is None) == (name is None or not paths):
         raise InputError(
             "compare: give CAPTURES with --device and --mesh, or two datasets: datagen compare REAL SIMULATED"

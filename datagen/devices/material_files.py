@@ -31,11 +31,8 @@ def write_materials(materials: Mapping[str, Material], path: str | Path) -> None
     import yaml
 
     check_kind("materials", materials, Mapping, remedy="such as compare(…).materials")
-    check_path("path", path, _NAME)
-    path = Path(path)
-    if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{path}: a file of materials ends in .yaml; name it so")
-    values = dict[str, Any]()
+    check_materials_file(path)
+    path, values = Path(path), dict[str, Any]()
     for name, material in materials.items():
         if isinstance(material, MeasuredByAngle):
             table = [float(f"{value:.4g}") for value in material.reflectance]
@@ -51,6 +48,13 @@ def write_materials(materials: Mapping[str, Material], path: str | Path) -> None
         write_atomically(path, text.encode())
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error})") from None
+
+
+def check_materials_file(path: str | Path) -> None:
+    """Raise `InputError` unless a path ends as a file of materials does, before the work that leads to it."""
+    check_path("path", path, _NAME)
+    if Path(path).suffix not in (".yaml", ".yml"):
+        raise InputError(f"{path}: a file of materials ends in .yaml; name it so")
 
 
 def read_materials(path: str | Path) -> dict[str, Material]:

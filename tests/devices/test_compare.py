@@ -142,6 +142,9 @@ def test_a_surface_that_would_create_light_is_refused_in_a_line(tmp_path: Path) 
     with pytest.raises(InputError, match=r"materials: a: Phong; give Lambertian or MeasuredByAngle"):
         dg.write_materials({"a": dg.Phong(0.5)}, tmp_path / "a.yaml")
     (tmp_path / "bad.yaml").write_text("table: {albedo: 2}")
+    with pytest.raises(InputError, match=r"a.txt: a file of materials ends in .yaml"):
+        command = ["compare", "none.npz", "--device", "tmf8820", "--mesh", "none.stl", "--materials", "a.txt"]
+        CliRunner().invoke(cli, command, catch_exceptions=False)
     with pytest.raises(InputError, match=r"bad.yaml: table: albedo"):
         dg.read_materials(tmp_path / "bad.yaml")
 
