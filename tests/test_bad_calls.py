@@ -475,7 +475,11 @@ OF_ANOTHER_NAME: dict[str, Callable[[str, Path], object]] = {
     "pillar": lambda kind, _: config_from_mapping({"scene": {"contents": [{"kind": kind}]}}),
     "description": lambda key, _: config_from_mapping({key: 3}),
     "depth": lambda name, folder: read_predictions(
-        {"scene": np.zeros(1), name: np.zeros(1)}, SimpleNamespace(manifest=read_manifest(folder / "set"))),  # type: ignore[arg-type]
+        {"scene": np.zeros(1), name: np.zeros(1)},
+        SimpleNamespace(  # type: ignore[arg-type]
+            manifest=read_manifest(folder / "set"), scenes=np.zeros(1, int), depth=np.zeros((1, 2, 2)),
+            occupancy=None, span=np.ones(1), reach=np.ones(1),
+        )),
     "rows from top left": lambda order, _: zones_listed("frames", order, dg.device("tmf8820").zones, 9),
 }  # fmt: skip
 """A name that is known → a call with another."""

@@ -59,11 +59,12 @@ class OwnLight:
     """The light of one mover.
 
     cuts : the problem of all parts, with FoV points and laser points of the static room. mover, others : the part,
-    and all others that move. samples : drawn so far.
+    and all others that move. samples : drawn so far. is_limited : whether a run had as many as it may have.
     """
 
     def __init__(self, cuts: Cuts, mover: Mover, others: Sequence[Mover]) -> None:
-        self.cuts, self.mover, self.others, self.samples = cuts, mover, others, 0
+        self.cuts, self.mover, self.others = cuts, mover, others
+        self.samples, self.is_limited = 0, False
         parts = len(cuts.groups)
         self.slot, self.group = np.full(parts, -1), int(cuts.groups[mover.part])
         self.slot[mover.part] = 0
@@ -123,6 +124,7 @@ class OwnLight:
             used = emit(pairs, n, asked, most, replicate, seed, room, own_pool, walk, cuts.expected, cuts.batch)
             self.samples += used
             cuts.pour(self._rows_in_sight(pose, others, cuts.every[:used]), light, outside)
+        self.is_limited |= bool(walk.at[3] >= most)
 
     def _rows_in_sight(self, pose: Floats, others: Sequence[Floats], rows: Ints) -> Ints:
         """Those samples of the batch, by number, that nothing hides: neither the part itself at its poses (n, 5), nor

@@ -18,6 +18,7 @@ from datagen.records.checks import check_kind, check_seed
 from datagen.transport.coincidence import set_apart
 from datagen.transport.cuts import FAINT, SCATTER, SHARED
 from datagen.transport.dwell import MOST, MOST_WHOLE, instants, path_change
+from datagen.transport.effort import is_enough
 from datagen.transport.problem import components_asked
 from datagen.transport.shared_light import Moving, Static, in_view, moving_light, static_of
 from datagen.transport.simulate import MET, warnings_of
@@ -215,11 +216,20 @@ def shared_light(
     if hidden.all():
         return None
     others, moving = [name for name in components if name != "primary"], moving_light(static)
+    if moving is None:
+        return None
     light = _three_bounces(scene, times, static, moving, accuracy)
+    norms = [l2_norm(light.total(f)) for f in range(light.frames)]
+    poor = np.array([
+        not is_enough(of * norm, norm, norm, static.target)
+        for of, norm in zip(light.relative_error, norms, strict=True)
+    ])  # fmt: skip
+    if (hidden | poor).all():
+        return None
     whole = _frame_instants(scene, capture, times, exposure_s)
     if others:
         light = _with_others(light, scene, whole, OtherComponents(capture, accuracy, seed, others), apart)
-    for f in np.flatnonzero(hidden).tolist():
+    for f in np.flatnonzero(hidden | poor).tolist():
         light = _with_frame(light, f, _frame(scene, capture, whole[f], accuracy, seed))
     # Of what moves not the own light is meant, which of somebody in dark clothes is less than the shadow, but both.
     met = (light.relative_error <= MET * accuracy.target) & (moving.error_over_asked <= MET)
@@ -229,6 +239,8 @@ def shared_light(
     samplers = {name: light.samplers[name] for name in components}
     if hidden.any():
         samplers["primary"] += f"; {hidden.sum()} frames by themselves, in which a mover is in the device's view"
+    if (poor & ~hidden).any():
+        samplers["primary"] += f"; {(poor & ~hidden).sum()} by themselves, of which cuts knew too little"
     seconds = {"static": ready - began, "moving": clock_time.perf_counter() - ready}
     return replace(light, met_target=met, samplers=samplers, seconds=seconds)
 

@@ -137,14 +137,17 @@ def static_of(
     return Static(light, problem, movers, target)
 
 
-def moving_light(static: Static) -> Moving:
-    """The light of all frames that comes to that of the static room."""
+def moving_light(static: Static) -> Moving | None:
+    """The light of all frames that comes to that of the static room; None where cuts do not find it, as between
+    narrow lobes, so that a pilot has more elements than what plain paths would take."""
     cuts = Cuts(static.problem, static.target)
     owns = [
         OwnLight(cuts, mover, [other for other in static.movers if other is not mover]) for mover in static.movers
     ]
     shadows = Shadows(cuts, static.movers)
     effort = _effort(static, cuts, owns, shadows)
+    if effort is None:
+        return None
     F, H, T = static.frames, cuts.pairs.histograms, cuts.problem.capture.time.bins
     found = Moving(
         np.zeros((F, H, T)), np.zeros((F, H, T)), {own.mover.name: np.zeros((F, H, T)) for own in owns},
@@ -275,8 +278,9 @@ def _weights(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shad
     return np.asarray(np.exp2(np.round(np.log2(norm / math.sqrt(np.square(norm).mean())))))
 
 
-def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort:
-    """How fine all frames have to be, from a pilot over some histograms, each in some frame. All norms and errors in
+def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shadows) -> Effort | None:
+    """How fine all frames have to be, from a pilot over some histograms, each in some frame; None if that has more
+    elements than it may. All norms and errors in
     it are of light over the weights of its frames, so that each frame counts alike."""
     F, H = static.frames, cuts.pairs.histograms
     weights = _weights(static, cuts, owns, shadows) if F > 1 else np.ones(1)
@@ -294,6 +298,8 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
             before = owns[m].samples
             looks[m] = pilot.look(owns[m], delta[m], asked / per, 10 + turn)
             few[m] = owns[m].samples - before < 2 * count * ELEMENTS
+            if owns[m].is_limited:
+                return None
         # With less noise there is less light than the look seemed to meet.
         asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
         error = np.maximum([look.error for look in looks], 1e-3 * asked)

@@ -72,3 +72,17 @@ def test_what_covers_all_leaves_its_own_light_alone() -> None:
     own, behind = light.parts["mover"], light.static - light.total(0) + light.parts["mover"][0]
     assert behind.sum() > 0.9 * light.static.sum()
     assert own[0].sum() > 0.9 * light.total(0).sum()
+
+
+def test_what_cuts_cannot_find_comes_by_itself() -> None:
+    """A retroreflector with a narrow lobe sends its light back along lines that elements seldom hit."""
+    ball, scan, accuracy = trimesh.creation.icosphere(3, 0.35), capture(2), dg.Accuracy(target=0.1)
+    path = along((1.3, 0.2, 1.3), (1.4, -0.1, 1.4))
+    scene = room(dg.Part("mover", ball, dg.Retroreflector(0.8, half_width_rad=0.002), path=path))
+    light = dg.simulate_sequence(scene, scan, dg.Clock(2, 2, "together"), accuracy, exposure_s=1e-6)
+    assert light.samplers["primary"] != "shared cuts"
+    for f in range(2):
+        due = dg.simulate(scene.at(f / 2), scan, accuracy, 3)
+        claimed = np.hypot(light.relative_error[f], due.relative_error) * l2_norm(due.total)
+        assert l2_norm(light.total(f) - due.total) <= 3 * claimed
+        assert light.relative_error[f] <= max(0.5, 3 * due.relative_error)
