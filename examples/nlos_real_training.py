@@ -31,7 +31,8 @@ from torch import nn
 
 import datagen as dg
 from datagen.config.imported import ImportOptions
-from datagen.formats.matlab import read_mat
+from datagen.formats.layouts import read_capture
+from datagen.formats.recording import Stated
 from datagen.reconstruction.backprojection import Scan, backprojected, whitened
 from datagen.report.style import captioned, house_style, save_png
 from datagen.transport.rays import Raycaster
@@ -376,7 +377,8 @@ class Real:
     @classmethod
     def read(cls, path: Path) -> Real:
         """A scan of 64 × 64 points and 2048 bins of 4 ps."""
-        recording = read_mat(path, ImportOptions(bin_width_ps=4.0))
+        captured, _ = read_capture(path, "mat", Stated(ImportOptions(bin_width_ps=4.0)))
+        recording = captured.first
         counts = recording.values.reshape(POINTS, 2, POINTS, 2, -1, round(FINE_S / 4e-12)).sum(axis=(1, 3, 5))
         return cls(counts.astype(np.float64), float(np.ptp(recording.laser_points[:, 0])))
 

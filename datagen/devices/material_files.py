@@ -17,7 +17,7 @@ from datagen.records import Lambertian, Material, MeasuredByAngle
 from datagen.records.checks import check_kind, check_path
 from datagen.store.files import write_atomically
 
-_NAME = "name a file of materials, .yaml, as compare --materials writes it"
+_NAME = "name a file of materials, .yaml, as `write_materials` writes it"
 WAVELENGTH_NM = 940.0
 """Wavelength at which named materials of the catalogue are taken in a file: that of sensors of zones."""
 

@@ -54,6 +54,7 @@ TESTS = (
 )
 """Files with laws of the light, those that tell most in a second first."""
 BESIDE = (
+    "tests/capture/test_beam.py",
     "tests/capture/test_flood.py",
     "tests/evidence/test_evidence_image.py",
     "tests/evidence/test_presence.py",
