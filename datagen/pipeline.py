@@ -34,7 +34,7 @@ from datagen.labels.motion import motion_tables
 from datagen.records import Capture, Clock, Sample, Scalar, Scene, SequenceLight, TimeAxis, Transient
 from datagen.records.arrays import Floats, l2_norm
 from datagen.records.label_fields import LABEL_FIELDS
-from datagen.records.sample import OF_THE_DEVICE, SCAN_PLACE, geometry_fields
+from datagen.records.sample import OF_THE_ROOM, SCAN_PLACE, geometry_fields
 from datagen.seeding import Purpose, derived_seed
 from datagen.transport.coincidence import set_apart
 from datagen.transport.lines_of_sight import lit_points, seen_points
@@ -64,7 +64,7 @@ def _labels_of(*rooms: str) -> tuple[str, ...]:
 
 _TRANSPORT = tuple(f"effect.{effect.name}." for effect in TRANSPORT_EFFECTS)
 STAGES = (
-    Stage("room", ("relay_wall", "hidden_view", "hidden_bounds"), ("evidence.placed_anew",), ("scene",)),
+    Stage("room", OF_THE_ROOM, ("evidence.placed_anew",), ("scene",)),
     Stage(
         "capture",
         ("laser_position", "laser_points", "laser_normals", "sensor_position", "sensor_pixels", "sensor_points",
@@ -446,7 +446,9 @@ def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
         arrays["transient"] = light.frames.static + light.frames.moving
     if "moving_transient" in setup.fields:
         arrays["moving_transient"] = light.frames.moving
-    arrays |= _geometry(setup) | {"laser_time": setup.times.points}
+    if setup.captures is None:
+        arrays |= _geometry(setup)
+    arrays["laser_time"] = setup.times.points
     changing = {
         "transient.change_error": _change_error(light.frames),
         "transient.clipped": _share_below_zero(light.frames),
@@ -459,7 +461,7 @@ def labels_of_frames(
     setup: Setup, light: LightOfFrames, counts: Counts
 ) -> tuple[dict[str, NDArray[np.generic]], dict[str, Scalar]]:
     """As `labels_of`, for the frames of a sequence: each has the labels of its middle, and parameters are the medians
-    over the frames."""
+    over the frames. Of a sensor that moves with the geometry, whose places of the device have an axis of frames."""
     assert setup.times is not None
     times, frames, scene = setup.times, light.frames, setup.scene
     without = list[tuple[str, SequenceLight]]()
@@ -477,7 +479,7 @@ def labels_of_frames(
             in_sight = light_in_sight(lit, at.capture, accuracy, light.lit.seed, at.caster) if scene.objects else {}
         others = [(name, other.frame(frame)) for name, other in without]
         found, known = labels_of(at, SceneLight(whole, light.effects, None, in_sight, others), counts)
-        every.append(found)
+        every.append(found if setup.captures is None else found | _geometry(at))
         evidence.append(known)
     arrays = {
         name: every[0][name] if name in _SAME_IN_FRAMES else np.stack([of[name] for of in every])
@@ -496,7 +498,7 @@ def labels_of_frames(
     return arrays, medians | change_parameters(changes, scene.moving)
 
 
-_SAME_IN_FRAMES = {of.name for of in LABEL_FIELDS if of.over_frames == "same"}
+_SAME_IN_FRAMES = {*OF_THE_ROOM, *(of.name for of in LABEL_FIELDS if of.over_frames == "same")}
 
 
 def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDArray[np.generic]]:
@@ -512,13 +514,7 @@ def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDAr
 
 
 def _geometry(setup: Setup) -> dict[str, Floats]:
-    """Field → where laser, sensor, relay wall and hidden view are; of a sensor that moves with an axis of frames."""
-    if setup.captures is not None:
-        every = [_geometry(setup.at(frame)) for frame in range(len(setup.captures))]
-        return {
-            name: np.stack([of[name] for of in every]) if name in OF_THE_DEVICE else every[0][name]
-            for name in every[0]
-        }  # fmt: skip
+    """Field → where laser, sensor, relay wall and hidden view are."""
     scene, laser, sensor = setup.scene, setup.capture.laser, setup.capture.sensor
     wall, view = (
         None if face is None else np.stack([face.center, face.right, face.up])

@@ -12,10 +12,10 @@ import numpy as np
 from datagen.config.base import from_plain
 from datagen.config.scene_materials import SurfaceMaterial
 from datagen.config.yaml_text import read_yaml
+from datagen.devices.yaml_files import check_yaml_path, write_yaml
 from datagen.errors import InputError
 from datagen.records import Lambertian, Material, MeasuredByAngle
 from datagen.records.checks import check_kind, check_path
-from datagen.store.files import write_atomically
 
 _NAME = "name a file of materials, .yaml, as `write_materials` writes it"
 WAVELENGTH_NM = 940.0
@@ -28,11 +28,9 @@ def write_materials(materials: Mapping[str, Material], path: str | Path) -> None
 
     Raises `InputError` for materials other than Lambertian and MeasuredByAngle, and where it cannot be written.
     """
-    import yaml
-
     check_kind("materials", materials, Mapping, remedy="such as compare(…).materials")
     check_materials_file(path)
-    path, values = Path(path), dict[str, Any]()
+    values = dict[str, Any]()
     for name, material in materials.items():
         if isinstance(material, MeasuredByAngle):
             table = [float(f"{value:.4g}") for value in material.reflectance]
@@ -42,19 +40,12 @@ def write_materials(materials: Mapping[str, Material], path: str | Path) -> None
         else:
             raise InputError(f"materials: {name}: {type(material).__name__}; give Lambertian or MeasuredByAngle")
         values[name] = {"albedo": float(f"{material.albedo:.4g}"), "brdf": brdf}
-    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=118)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
+    write_yaml(values, path)
 
 
 def check_materials_file(path: str | Path) -> None:
     """Raise `InputError` unless a path ends as a file of materials does, before the work that leads to it."""
-    check_path("path", path, _NAME)
-    if Path(path).suffix not in (".yaml", ".yml"):
-        raise InputError(f"{path}: a file of materials ends in .yaml; name it so")
+    check_yaml_path(path, "a file of materials", _NAME)
 
 
 def read_materials(path: str | Path) -> dict[str, Material]:

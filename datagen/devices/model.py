@@ -15,11 +15,11 @@ from datagen.config.detector import DetectorConfig
 from datagen.config.device import DeviceConfig, device_names, read_device
 from datagen.detector import Exposure, Spad, detector_for
 from datagen.devices.frames import Frames, check_poses
+from datagen.devices.yaml_files import check_yaml_path, write_yaml
 from datagen.devices.zone_order import in_device_order
 from datagen.errors import InputError, InputWarning, as_line
 from datagen.records import Capture
-from datagen.records.checks import as_points, as_reals, check_kind, check_path
-from datagen.store.files import write_atomically
+from datagen.records.checks import as_points, as_reals, check_kind
 
 
 class Device(DeviceConfig):
@@ -163,17 +163,6 @@ def device(name: str | Path) -> Device:
 
 def write_device(device: Device, path: str | Path) -> None:
     """Write a device to a file that `device` reads. Raises `InputError` where the file cannot be written."""
-    import yaml
-
     check_kind("device", device, DeviceConfig, remedy="such as dg.device('tmf8820')")
-    check_path("path", path, "name the file to make, .yaml")
-    path = Path(path)
-    if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{path}: a device file ends in .yaml; name it so")
-    values = json.loads(device.model_dump_json(exclude_defaults=True))
-    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None, width=118)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, text.encode())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error})") from None
+    check_yaml_path(path, "a device file", "name the file to make, .yaml")
+    write_yaml(json.loads(device.model_dump_json(exclude_defaults=True)), path)

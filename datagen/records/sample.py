@@ -29,6 +29,8 @@ OF_THE_DEVICE = (
     "sensor_position",
 )  # fmt: skip
 """Arrays of a sample that say where the device is and what it looks at: with an axis of frames where it moves."""
+OF_THE_ROOM = ("relay_wall", "hidden_view", "hidden_bounds")
+"""Those that say where wall and hidden part are, which stand."""
 
 
 @dataclass(frozen=True, repr=False)

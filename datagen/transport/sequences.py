@@ -177,10 +177,8 @@ def light_of_frames(
     """The light of a sequence whose frames are simulated by themselves, each in an exposure about the middle of its
     times (F, L)."""
     began = clock_time.perf_counter()
-    frames = [
-        _frame(scene, capture, at, accuracy, seed)
-        for capture, at in zip(captures, _frame_instants(scene, captures[0], times, exposure_s), strict=True)
-    ]
+    whole = _frame_instants(times, exposure_s, path_change(scene, captures[0], times, exposure_s))
+    frames = [_frame(scene, capture, at, accuracy, seed) for capture, at in zip(captures, whole, strict=True)]
     return _of_transients(scene, times, frames, clock_time.perf_counter() - began)
 
 
@@ -207,7 +205,8 @@ def shared_light(
     began, components = clock_time.perf_counter(), components_asked(accuracy)
     if "primary" not in components or accuracy.target is None:
         return None
-    every = instants(times, exposure_s, path_change(scene, capture, times, exposure_s), MOST)
+    bins = path_change(scene, capture, times, exposure_s)
+    every, whole = instants(times, exposure_s, bins, MOST), _frame_instants(times, exposure_s, bins)
     static = static_of(scene, capture, every, accuracy, accuracy.target * math.sqrt(1.0 / len(components)), seed)
     if static is None:
         return None
@@ -226,7 +225,6 @@ def shared_light(
     ])  # fmt: skip
     if (hidden | poor).all():
         return None
-    whole = _frame_instants(scene, capture, times, exposure_s)
     if others:
         light = _with_others(light, scene, whole, OtherComponents(capture, accuracy, seed, others), apart)
     for f in np.flatnonzero(hidden | poor).tolist():
@@ -340,9 +338,9 @@ def _with_frame(light: SequenceLight, f: int, whole: Transient) -> SequenceLight
     )  # fmt: skip
 
 
-def _frame_instants(scene: Scene, capture: Capture, times: Floats, exposure_s: float) -> Floats:
-    """(F, S) instants of frames that are simulated as a whole, seconds."""
-    return instants(times.mean(axis=1), exposure_s, path_change(scene, capture, times, exposure_s), MOST_WHOLE).T
+def _frame_instants(times: Floats, exposure_s: float, bins: float) -> Floats:
+    """(F, S) instants of frames that are simulated as a whole, seconds, in which paths change by so many bins."""
+    return instants(times.mean(axis=1), exposure_s, bins, MOST_WHOLE).T
 
 
 def _frame(scene: Scene, capture: Capture, at: Floats, accuracy: Accuracy, seed: int) -> Transient:
