@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 import datagen as dg
 from datagen.baselines.plan_network import EPOCHS, learnt_ways
-from datagen.baselines.tracking import followed
+from datagen.baselines.tracking import kalman_ways
 from datagen.baselines.walks import Walks, read_walks
 from datagen.labels.frame import ViewFrame
 from datagen.records import Rectangle
@@ -55,12 +55,12 @@ def ways(path: Path, test: Walks, seed: int, epochs: int) -> dict[str, Array]:
     singles = [read_walks(path, split, minus="scan").apart for split in ("train", "test")]
     for name, find in (
         (SINGLE, lambda: learnt_ways(singles[0], singles[1], seed, epochs)),
-        (KALMAN, lambda: followed(train, test)),
+        (KALMAN, lambda: kalman_ways(train, test)),
         (NETWORK, lambda: learnt_ways(train, test, seed, epochs)),
     ):
         began = time.process_time()
         places, _ = find()
-        found[name] = train.raised(places.reshape(*test.centers.shape[:2], 2))
+        found[name] = train.at_mean_height(places.reshape(*test.centers.shape[:2], 2))
         print(f"{name}: {time.process_time() - began:.0f} s of one core")
     return found
 

@@ -229,16 +229,16 @@ def test_files_are_opened_in_one_guarded_way() -> None:
 
 
 def test_a_group_of_predictions_with_something_else_in_it(tmp_path: Path) -> None:
-    from datagen.scoring.predictions import _loaded
+    from datagen.scoring.predictions import _arrays_of_file
 
     group = tmp_path / "group"
     group.mkdir()
     pipe(group / "zarr.json")
     with soon(), pytest.raises(InputError, match=r"zarr\.json: is no plain file"):
-        _loaded(group, None)  # type: ignore[arg-type]
+        _arrays_of_file(group, None)  # type: ignore[arg-type]
     pipe(tmp_path / "predictions.npz")
     with soon(), pytest.raises(InputError, match=r"predictions\.npz: is no plain file"):
-        _loaded(tmp_path / "predictions.npz", None)  # type: ignore[arg-type]
+        _arrays_of_file(tmp_path / "predictions.npz", None)  # type: ignore[arg-type]
 
 
 def test_an_export_of_a_dataset_whose_card_is_a_pipe(tmp_path: Path) -> None:

@@ -57,14 +57,14 @@ class PlanNetwork(nn.Module):
 def learnt_ways(train: Walks, wanted: Walks, seed: int, epochs: int = EPOCHS) -> tuple[Floats, Floats]:
     """Places and velocities (N, F, 2) along right and depth of the label frame, metres and metres a second, by a
     network that is trained on other walks."""
-    model = trained(train, seed, epochs)
+    model = trained_network(train, seed, epochs)
     with torch.no_grad():
         found = [model(_plans(wanted, chosen)) for chosen in np.array_split(np.arange(len(wanted.scene)), 16)]
     place, velocity = (torch.cat(parts).double().numpy() for parts in zip(*found, strict=True))
     return wanted.metres(place), velocity
 
 
-def trained(walks: Walks, seed: int, epochs: int = EPOCHS) -> PlanNetwork:
+def trained_network(walks: Walks, seed: int, epochs: int = EPOCHS) -> PlanNetwork:
     """A trained network. At each step half of the sequences are mirrored, and half run backwards: both may happen."""
     torch.manual_seed(seed)
     model = PlanNetwork()
@@ -75,7 +75,7 @@ def trained(walks: Walks, seed: int, epochs: int = EPOCHS) -> PlanNetwork:
     speeds = torch.from_numpy(walks.velocities[..., [0, 2]]).float()
     for _ in range(epochs):
         for chosen in torch.randperm(len(shares)).split(BATCH):
-            plans, place, speed = _turned(_plans(walks, chosen.numpy()), shares[chosen], speeds[chosen])
+            plans, place, speed = _mirror_or_reverse(_plans(walks, chosen.numpy()), shares[chosen], speeds[chosen])
             found, velocity = model(plans)
             off = ((found - place) * span[chosen, None]).square().sum(dim=-1)
             faster = (velocity - speed).square().sum(dim=-1)
@@ -93,7 +93,7 @@ def _plans(walks: Walks, chosen: Ints) -> torch.Tensor:
     return torch.from_numpy(walks.plans[chosen]).transpose(1, 2)
 
 
-def _turned(
+def _mirror_or_reverse(
     plans: torch.Tensor, place: torch.Tensor, speed: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Plans (n, plan, F, depth, column), places and velocities (n, F, 2), maybe mirrored, and maybe from the last

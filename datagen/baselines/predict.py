@@ -101,21 +101,21 @@ def mean_walk(train: Walks, wanted: Walks, seed: int) -> Predicted:
 
 def tracking(train: Walks, wanted: Walks, seed: int) -> Predicted:
     """Predictions by backprojection of what changes, and a Kalman filter."""
-    from datagen.baselines.tracking import followed
+    from datagen.baselines.tracking import kalman_ways
 
-    return _raised(train, wanted, *followed(train, wanted))
+    return _level_track(train, wanted, *kalman_ways(train, wanted))
 
 
 def walk_network(train: Walks, wanted: Walks, seed: int) -> Predicted:
     """Predictions by a small network on floor plans that is trained on the suite's own training sequences."""
     from datagen.baselines.plan_network import learnt_ways
 
-    return _raised(train, wanted, *learnt_ways(train, wanted, seed))
+    return _level_track(train, wanted, *learnt_ways(train, wanted, seed))
 
 
-def _raised(train: Walks, wanted: Walks, places: Floats, velocities: Floats) -> Predicted:
+def _level_track(train: Walks, wanted: Walks, places: Floats, velocities: Floats) -> Predicted:
     """Predictions of one track along right and depth (N, F, 2), which goes level."""
-    return _track(wanted, train.raised(places), np.insert(velocities, 1, 0.0, axis=-1))
+    return _track(wanted, train.at_mean_height(places), np.insert(velocities, 1, 0.0, axis=-1))
 
 
 def _track(wanted: Walks, centers: Floats, velocities: Floats) -> Predicted:
@@ -173,6 +173,7 @@ def _of_sequences(method: str, suite: str | Path, split: str, seed: int) -> tupl
 
 
 def _check_fits(method: str, known: Collection[str], why: str) -> None:
+    """Raise `InputError` for a method that is none of those known; why : what the dataset holds, as a clause."""
     if method not in known:
         raise InputError(f"{as_given('method', method)}: {why}; must be one of {', '.join(known)}")
 

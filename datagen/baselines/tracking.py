@@ -23,20 +23,20 @@ ACCELERATION_M_S2 = 2.0
 """Standard deviation of a walker's acceleration: at a corner of its way it turns within half a second."""
 
 
-def followed(train: Walks, wanted: Walks) -> tuple[Floats, Floats]:
+def kalman_ways(train: Walks, wanted: Walks) -> tuple[Floats, Floats]:
     """Places and velocities (N, F, 2) along right and depth of the label frame, metres and metres a second.
 
     Raises `InputError` if the library filterpy is not installed.
     """
-    maps = bright(train)
+    maps = brightness_of(train)
     off = [
-        np.median(np.linalg.norm(_smoothed(train, maps, train, sharp)[0] - train.centers[..., [0, 2]], axis=-1))
+        np.median(np.linalg.norm(_smooth_ways(train, maps, train, sharp)[0] - train.centers[..., [0, 2]], axis=-1))
         for sharp in SHARPNESS
     ]
-    return _smoothed(wanted, bright(wanted), train, SHARPNESS[int(np.argmin(off))])
+    return _smooth_ways(wanted, brightness_of(wanted), train, SHARPNESS[int(np.argmin(off))])
 
 
-def bright(walks: Walks) -> Floats:
+def brightness_of(walks: Walks) -> Floats:
     """(N, F, depth, column) how much a place stands out: minus the Laplacian of a Gaussian of one voxel, in standard
     deviations of a frame's plan."""
     plans = walks.plans.astype(np.float64).sum(axis=2)
@@ -45,7 +45,7 @@ def bright(walks: Walks) -> Floats:
     return found
 
 
-def measured(brightness: Floats, low: Floats, high: Floats, sharpness: float) -> tuple[Floats, Floats]:
+def place_and_spread(brightness: Floats, low: Floats, high: Floats, sharpness: float) -> tuple[Floats, Floats]:
     """Mean (F, 2) and covariance (F, 2, 2) of the place by the likelihood exp(`sharpness` · `brightness`).
 
     brightness : (F, depth, column) over a plan between corners low and high (2,) along right and depth, metres.
@@ -61,21 +61,21 @@ def measured(brightness: Floats, low: Floats, high: Floats, sharpness: float) ->
     return mean, np.einsum("fk,fki,fkj->fij", weight, apart, apart) + STEP_M**2 * np.eye(2)
 
 
-def _smoothed(walks: Walks, maps: Floats, train: Walks, sharpness: float) -> tuple[Floats, Floats]:
+def _smooth_ways(walks: Walks, maps: Floats, train: Walks, sharpness: float) -> tuple[Floats, Floats]:
     """Places and velocities (N, F, 2) of walks with maps (N, F, depth, column), whose first place is one that the
     walkers of `train` may have."""
     shares = train.shares.reshape(-1, 2)
     first, spread = walks.metres(shares.mean(axis=0)[None, None])[:, 0], shares.std(axis=0) * (walks.high - walks.low)
     speed = float(train.velocities[..., [0, 2]].std())
     states = [
-        _smoothed_track(*measured(brightness, low, high, sharpness), place, wide, speed, walks.step_s)
+        _smooth_track(*place_and_spread(brightness, low, high, sharpness), place, wide, speed, walks.step_s)
         for brightness, low, high, place, wide in zip(maps, walks.low, walks.high, first, spread, strict=True)
     ]
     found = np.array(states)
     return found[..., [0, 2]], found[..., [1, 3]]
 
 
-def _smoothed_track(
+def _smooth_track(
     places: Floats, covariances: Floats, first: Floats, spread: Floats, speed: float, step_s: float
 ) -> Floats:  # fmt: skip
     """(F, 4) right, its velocity, depth and its velocity, from measured places (F, 2) with covariances (F, 2, 2).

@@ -64,7 +64,7 @@ class Walks:
         scene, sigma = np.repeat(self.scene, frames), np.repeat(self.sigma, frames)
         return Walks(self.root, scene, plans, low, high, centers, velocities, sigma, self.step_s)
 
-    def raised(self, places: Floats) -> Floats:
+    def at_mean_height(self, places: Floats) -> Floats:
         """(…, 3) right, up and depth of places (…, 2), as high as the objects of these walks in the mean, metres."""
         return np.insert(places, 1, self.centers[..., 1].mean(), axis=-1)
 

@@ -201,7 +201,7 @@ class _Fit:
         start = replace(start, sharing=_sharing(brightness, nominal.zones.crosstalk))
         rows = np.unique(np.linspace(0, len(z) - 1, FITTED_FRAMES).round().astype(int))
         problem = _ShapeProblem(light[rows], z[rows] + offset, start, doing)
-        shape, covariance, pulse = problem.solved()
+        shape, covariance, pulse = problem.best_shape()
         errors = float(spread[0]), float(spread[1])
         return cls(nominal, cycles, offset, errors, brightness, floor, glass, shape, covariance, pulse)
 
@@ -437,7 +437,7 @@ class _ShapeProblem:
     start: _Shape
     doing: Callable[[str], None]
 
-    def solved(self) -> tuple[_Shape, Floats, Floats]:
+    def best_shape(self) -> tuple[_Shape, Floats, Floats]:
         """The fitted shape, its parameters' covariance (by clusters), and the pulse (samples,), of sum 1."""
         begin = self.start.parameters
         scale = np.array([1.0, 0.1, 0.02, 0.02, 0.01, *np.full(len(begin) - 5, 0.1)])

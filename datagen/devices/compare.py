@@ -293,7 +293,7 @@ def compare(
     for what, state in states.items():
         doing(f"{len(test)} frames are simulated after a fit of {what.removeprefix('+ ')}")
         linear = session.linear(state)
-        modelled = session.at(test).simulated(state, linear.numbers, linear.floor.value)
+        modelled = session.at(test).expected_events(state, linear.numbers, linear.floor.value)
         error = relative_l2(modelled, test.histograms)
         steps[what] = float(np.median(error)), float(np.percentile(error, 90))
     cycles = state.device.counting.cycles
@@ -530,7 +530,7 @@ class _Session:
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         seen = np.array([piece.any() for piece in events[:-1]])
         floor = Fitted(float(found[-1]), float(errors[-1]))
-        by_name = state.pieces.fitted(found[:-1], errors[:-1], seen)
+        by_name = state.pieces.by_name(found[:-1], errors[:-1], seen)
         return _Linear(found[:-1], floor, by_name, state.pieces.reflectances(found[:-1], seen))
 
     def residuals(self, state: _State, given: Floats | None = None) -> Floats:
@@ -543,7 +543,7 @@ class _Session:
         """(n, zones) relative L2 of the histograms."""
         return np.asarray(np.linalg.norm(self.residuals(state, given), axis=2))
 
-    def simulated(self, state: _State, numbers: Floats, floor: float) -> Floats:
+    def expected_events(self, state: _State, numbers: Floats, floor: float) -> Floats:
         """(n, zones, bins) expected counts with all rays and the detector's own statistics."""
         width = state.device.time.bin_width_ps * 1e-12
         spad = replace(state.device.spad, dark_count_rate_hz=floor / width)
@@ -558,9 +558,9 @@ class _Session:
             # Places are not fitted anew: with more pieces they would follow the noise of the light of two bounces.
             pieces = replace(state.pieces, angles="angles" in groups, bounces="bounces" in groups)
             return replace(state, pieces=pieces), {}
-        return self.solved(state, [group for group in PLACED if group in groups])
+        return self.best_state(state, [group for group in PLACED if group in groups])
 
-    def solved(self, state: _State, groups: Sequence[Placed]) -> tuple[_State, dict[str, Fitted]]:
+    def best_state(self, state: _State, groups: Sequence[Placed]) -> tuple[_State, dict[str, Fitted]]:
         """The state after a fit of groups, and the numbers that were fitted."""
         if not groups:
             return state, {}
@@ -571,7 +571,7 @@ class _Session:
         steps = itertools.count(1)
 
         def moved(x: Floats) -> _State:
-            return _moved(state, groups, begin + x * unit)
+            return _state_with(state, groups, begin + x * unit)
 
         def residuals(x: Floats) -> Floats:
             prior = np.array([unknown.prior for unknown in unknowns])
@@ -659,7 +659,7 @@ UNKNOWNS: dict[Placed, Callable[[_State], list[_Unknown]]] = {
 }
 
 
-def _moved(state: _State, groups: Sequence[Placed], values: Floats) -> _State:
+def _state_with(state: _State, groups: Sequence[Placed], values: Floats) -> _State:
     """The state with the numbers of groups, in the order of their unknowns."""
     for group in groups:
         if group == "zones":

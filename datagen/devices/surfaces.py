@@ -86,7 +86,7 @@ class Pieces:
         of_parts = {part: slice(k * nodes, (k + 1) * nodes) for k, part in enumerate(self.parts)}
         return {part: tuple(map(float, values[of])) for part, of in of_parts.items() if seen[of].any()}
 
-    def fitted(self, values: Floats, errors: Floats, seen: Bools) -> dict[str, Fitted]:
+    def by_name(self, values: Floats, errors: Floats, seen: Bools) -> dict[str, Fitted]:
         """Name → number with its standard error, of the pieces (pieces,) that were `seen` at all."""
         return {
             name: Fitted(float(value), float(error))

@@ -99,7 +99,7 @@ def read_grid(content: Content, name: str, axes: str, stated: Stated, *, counts_
     axes : their order as published; `options.axes` names another. counts_from_laser : whether delays are needed.
     """
     _check_nothing_else(content, name, stated.options)
-    return _captured(content, _grid(content, name, stated.options.axes or _usual_axes(content, name, axes)),
+    return _capture_of_grid(content, _grid(content, name, stated.options.axes or _usual_axes(content, name, axes)),
                      stated, start_s=0.0, counts_from_laser=counts_from_laser)  # fmt: skip
 
 
@@ -126,7 +126,7 @@ def read_array(content: Content, stated: Stated) -> Captured:
         raise InputError(f"{content.path}: {name} {shape} does not say {', '.join(missing)}: say it{sensor}")
     assert options.axes is not None and options.start_ns is not None
     grid = _grid(content, name, options.axes)
-    return _captured(content, grid, stated, start_s=options.start_ns * 1e-9, counts_from_laser=True)
+    return _capture_of_grid(content, grid, stated, start_s=options.start_ns * 1e-9, counts_from_laser=True)
 
 
 def read_netf(content: Content, stated: Stated, *, axes: str, bin_width: str) -> Captured:
@@ -152,7 +152,7 @@ def read_netf(content: Content, stated: Stated, *, axes: str, bin_width: str) ->
     return _with_places(grid, values, places, time, None, ("confocal and from the wall as NeTF takes it",))
 
 
-def _captured(
+def _capture_of_grid(
     content: Content, grid: _Grid, stated: Stated, *, start_s: float, counts_from_laser: bool
 ) -> Captured:  # fmt: skip
     """What a grid holds, with delays taken off, at its places."""

@@ -163,7 +163,7 @@ class ImportedSamples:
             return sample_of_frame(config, index, path, file, frame)
         stated = Stated(layout.options, *(None if of is None else Path(of) for of in (self.delays, self.points)))
         if file.frames is None:
-            recording = _captured(path, file.format, stated)[0].first
+            recording = _capture_of_file(path, file.format, stated)[0].first
         else:
             recording = _many_frames(path, file.format, stated, file.sha256).frame(frame)
         field = config.store.fields[0]
@@ -295,7 +295,7 @@ def _summary(path: Path, form: str, stated: Stated) -> _Summary:
     """The summary of one file. The whole file is read."""
     if form == "frames":
         raise InputError(f"{path}: frames of a sensor and captures of scans make two datasets; import them apart")
-    captured, layout = _captured(path, form, stated)
+    captured, layout = _capture_of_file(path, form, stated)
     recording, frames = captured.first, captured.frames
     file = ImportedFile(
         name=path.name, sha256=sha256_of(path), format=cast(Literal["tal", "mat", "numpy"], form),
@@ -316,7 +316,7 @@ def _format_of(path: Path, format: str | None, device: object) -> str:
     return "frames" if form == "numpy" and format is None and device is not None else form
 
 
-def _captured(path: Path, format: str, stated: Stated) -> tuple[Captured, str]:
+def _capture_of_file(path: Path, format: str, stated: Stated) -> tuple[Captured, str]:
     """What one file holds, with the first bins only if the options say so, and the name of its layout."""
     captured, layout = read_capture(path, format, stated)
     there = captured.first.time.bins
@@ -334,7 +334,7 @@ def _many_frames(path: Path, format: str, stated: Stated, sha256: str) -> Captur
     global _last
     if _last is None or _last[0] != (path, sha256 + stated.options.model_dump_json()):
         _last = None
-        _last = (path, sha256 + stated.options.model_dump_json()), _captured(path, format, stated)[0]
+        _last = (path, sha256 + stated.options.model_dump_json()), _capture_of_file(path, format, stated)[0]
     return _last[1]
 
 

@@ -168,7 +168,7 @@ def read_tal(content: Content, stated: Stated) -> Captured:
     lit, seen = lit.reshape(-1, 3), seen.reshape(-1, 3)
     recording = Recording(
         values, paired, lit, lit_normals, seen, seen_normals, time, laser, sensor,
-        WallFrame.facing(seen, seen_normals), _hidden(path, content.texts.get("scene_info", "")),
+        WallFrame.facing(seen, seen_normals), _hidden_box(path, content.texts.get("scene_info", "")),
     )  # fmt: skip
     return Captured(recording, f"H ({form.name})", notes=("lengths in m",))
 
@@ -207,7 +207,7 @@ def _check_grid(path: Path, name: str, axes: tuple[int, ...], points: Floats) ->
         raise InputError(f"{path}: {name}: shape {points.shape} does not fit H, which has {axes} of them")
 
 
-def _hidden(path: Path, info: str) -> Floats | None:
+def _hidden_box(path: Path, info: str) -> Floats | None:
     """(2, 3) corners of the hidden box that `scene_info` states in plain YAML; None where it does not.
     Raises `TooLargeError` for text whose aliases stand for more than a description ever has."""
     try:

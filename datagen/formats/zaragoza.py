@@ -34,7 +34,7 @@ def read_zaragoza(content: Content, stated: Stated) -> Captured:
     # Of a file that MATLAB wrote all axes are turned.
     turned = positions.ndim > 1 and positions.shape[0] != 3 and positions.shape[-1] == 3
     light = light.T if turned else light
-    seen, lit = (_listed(content, name, turned) for name in ("cameraGridPositions", "laserGridPositions"))
+    seen, lit = (_points_of(content, name, turned) for name in ("cameraGridPositions", "laserGridPositions"))
     seen_normals, lit_normals = (
         _unit_normals(content, name, len(points), turned)
         for name, points in (("cameraGridNormals", seen), ("laserGridNormals", lit))
@@ -58,7 +58,7 @@ def read_zaragoza(content: Content, stated: Stated) -> Captured:
     )
     if laser.shape != (3,) or sensor.shape != (3,) or not np.isfinite([laser, sensor]).all():
         raise InputError(f"{path}: laserPosition, cameraPosition: three finite numbers each are needed, metres")
-    hidden = _hidden(content)
+    hidden = _hidden_box(content)
     frame, note = _facing(seen, seen_normals, hidden)
     recording = Recording(
         values, paired, lit, lit_normals, seen, seen_normals, time, laser, sensor, frame, hidden
@@ -71,7 +71,7 @@ def read_zaragoza(content: Content, stated: Stated) -> Captured:
 def read_made_over(content: Content, stated: Stated) -> Captured:
     """The recording in a file that Neural Transient Fields made of one as published: `data` (time, a, b) and
     `cameraGridPositions` (3, a · b), confocal and with times from the wall, as its loader and its model take them."""
-    path, light, seen = content.path, content.array("data"), _listed(content, "cameraGridPositions", False)
+    path, light, seen = content.path, content.array("data"), _points_of(content, "cameraGridPositions", False)
     if "isConfocal" in content.arrays and not content.number("isConfocal"):
         raise InputError(f"{path}: isConfocal = 0, and data (time, a, b) of one laser point says not where that was; "
                          "take the file as published")  # fmt: skip
@@ -81,7 +81,7 @@ def read_made_over(content: Content, stated: Stated) -> Captured:
     normals = _unit_normals(content, "cameraGridNormals", len(seen), False)
     time = time_bins(path, len(light), time_from_path(content.number("deltaT")), stated.options, start_s=0.0,
                      origin="wall", named="deltaT")  # fmt: skip
-    hidden = _hidden(content)
+    hidden = _hidden_box(content)
     if not np.isfinite(normals).all():
         # The wall is a plane in these files; its normal is that of the plane through its points.
         normal = np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2][-1]
@@ -103,7 +103,7 @@ def read_made_over(content: Content, stated: Stated) -> Captured:
     return Captured(recording, "data (time, a, b)", notes=notes)
 
 
-def _listed(content: Content, name: str, turned: bool) -> Floats:
+def _points_of(content: Content, name: str, turned: bool) -> Floats:
     """(n, 3) points of a variable (3, x, y), or (y, x, 3) where all axes are turned."""
     found = content.array(name).T if turned else content.array(name)
     if found.ndim < 2 or found.shape[0] != 3 or found.size == 0 or not np.isfinite(found).all():
@@ -114,16 +114,16 @@ def _listed(content: Content, name: str, turned: bool) -> Floats:
 
 
 def _unit_normals(content: Content, name: str, count: int, turned: bool) -> Floats:
-    """(n, 3) unit normals of a variable as `_listed` reads points; NaN where the file has none of this count."""
+    """(n, 3) unit normals of a variable as `_points_of` reads points; NaN where the file has none of this count."""
     unknown = np.full((count, 3), np.nan)
     if name not in content.arrays or content.array(name).size != 3 * count:
         return unknown
-    found = _listed(content, name, turned)
+    found = _points_of(content, name, turned)
     length = np.linalg.norm(found, axis=1, keepdims=True)
     return found / length if (length > 0.1).all() else unknown
 
 
-def _hidden(content: Content) -> Floats | None:
+def _hidden_box(content: Content) -> Floats | None:
     """(2, 3) corners of a box that holds the hidden part; None where the file does not state it."""
     if not {"hiddenVolumePosition", "hiddenVolumeSize"} <= {*content.arrays}:
         return None

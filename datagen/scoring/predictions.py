@@ -126,7 +126,7 @@ def read_arrays(source: str | Path | Mapping[str, Any], wanted: Wanted) -> dict[
     unknown quantity or none, a wrong shape, and values that are no numbers, not finite, out of range, or lengths in
     another unit than metres.
     """
-    arrays = dict(source) if isinstance(source, Mapping) else _loaded(Path(source), wanted)
+    arrays = dict(source) if isinstance(source, Mapping) else _arrays_of_file(Path(source), wanted)
     where, known = named(source), list(wanted.forms)
     if "scene" not in arrays:
         raise InputError(f"{where}: has no `scene`, the numbers of the scenes predicted; {_REMEDY}")
@@ -147,11 +147,11 @@ def read_arrays(source: str | Path | Mapping[str, Any], wanted: Wanted) -> dict[
             continue
         if form is None:
             raise InputError(f"{where}: {name}: the dataset has no {name} to hold it against; leave it out")
-        made[name] = _checked(f"{where}: {name}", np.asarray(arrays[name]), count, rows, form, wanted.scenes)
+        made[name] = _values_wanted(f"{where}: {name}", np.asarray(arrays[name]), count, rows, form, wanted.scenes)
     return made
 
 
-def _loaded(path: Path, wanted: Wanted) -> dict[str, NDArray[Any]]:
+def _arrays_of_file(path: Path, wanted: Wanted) -> dict[str, NDArray[Any]]:
     """Name → array of a file or group of predictions. An array of an unknown name is empty and was not read."""
     if not path.is_dir() and (why := why_no_file(path)) is not None:
         raise InputError(f"{path}: {why}; name an .npz file or a Zarr group of predictions")
@@ -205,7 +205,7 @@ def _rows(where: str, scene: NDArray[Any], wanted: Wanted) -> NDArray[np.intp]:
     return first[np.searchsorted(values, wanted.scenes)]
 
 
-def _checked(
+def _values_wanted(
     where: str, given: NDArray[Any], count: int, rows: NDArray[np.intp], form: Form, scenes: Ints
 ) -> Floats:  # fmt: skip
     """A predicted array in float64, the rows of the scenes wanted only. Raises as `read_arrays` does."""

@@ -170,7 +170,7 @@ def one_bounce_by_angle(
         gives Σ r(node) light(node).
     """
     vertices, _ = _met_by_beam(scene, capture, caster, rays)
-    kept, pixel, photons, place = _recorded(scene, capture, caster, materials, vertices)
+    kept, pixel, photons, place = _deposits(scene, capture, caster, materials, vertices)
     to_sensor = capture.sensor.position - vertices.x
     cosine = dots(vertices.normal, vertices.back)
     cosine = 0.5 * (cosine + dots(vertices.normal, to_sensor) / np.linalg.norm(to_sensor, axis=1))
@@ -208,7 +208,7 @@ def two_bounces_of_beam(
         power[met] * np.exp(-scene.attenuation_per_m * between), first.length_m[met] + between,
         first.legs_m[met] + between,
     )  # fmt: skip
-    kept, pixel, photons, place = _recorded(scene, capture, caster, materials, second)
+    kept, pixel, photons, place = _deposits(scene, capture, caster, materials, second)
     axis, pixels, parts = capture.time, len(capture.sensor.pixels), len(scene.part_names)
     inside = (place >= 0) & (place < axis.bins)
     pair = first.part[met] * parts + second.part
@@ -233,7 +233,7 @@ def _met_by_beam(scene: Scene, capture: Capture, caster: Raycaster, rays: int) -
     return vertices, uv[met]
 
 
-def _recorded(
+def _deposits(
     scene: Scene, capture: Capture, caster: Raycaster, materials: MaterialTable, vertices: _Vertices
 ) -> tuple[Ints, Ints, Floats, Ints]:
     """What the pixels get from vertices: of each pair of a vertex and a pixel that sees it, the number of the vertex

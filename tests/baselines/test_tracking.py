@@ -18,7 +18,7 @@ from PIL import Image
 import datagen as dg
 from datagen.baselines import write_baseline
 from datagen.baselines.plan_network import PlanNetwork, learnt_ways
-from datagen.baselines.tracking import STEP_M, followed, measured
+from datagen.baselines.tracking import STEP_M, kalman_ways, place_and_spread
 from datagen.baselines.walks import PLANS, VOXELS, Walks, floor_plans, read_walks
 from datagen.cli import run
 from datagen.records.arrays import Floats
@@ -76,24 +76,24 @@ def test_a_likelihood_is_measured_by_its_moments() -> None:
     mean, width = np.array([0.3, 1.2]), np.array([0.25, 0.4])
     x, y = LOW[0] + right * 4 - mean[0], depth[:, None] * 3 - mean[1]
     log = -0.5 * ((x / width[0]) ** 2 + (y / width[1]) ** 2)
-    place, covariance = measured(log[None] / 2.0, LOW, HIGH, sharpness=2.0)
+    place, covariance = place_and_spread(log[None] / 2.0, LOW, HIGH, sharpness=2.0)
     np.testing.assert_allclose(place[0], mean, atol=0.01)
     np.testing.assert_allclose(covariance[0], np.diag(width**2 + STEP_M**2), atol=0.01)
     # Without any light all places are as likely.
-    flat, wide = measured(np.zeros((1, 60, 80)), LOW, HIGH, sharpness=4.0)
+    flat, wide = place_and_spread(np.zeros((1, 60, 80)), LOW, HIGH, sharpness=4.0)
     np.testing.assert_allclose(flat[0], (LOW + HIGH) / 2, atol=1e-9)
     np.testing.assert_allclose(np.diag(wide[0]), (HIGH - LOW) ** 2 / 12, rtol=0.02)
 
 
 def test_the_filter_follows_a_patch_and_its_speed() -> None:
     train, test = walks(20, 1), walks(30, 2)
-    places, velocities = followed(train, test)
+    places, velocities = kalman_ways(train, test)
     blind = np.broadcast_to(train.centers[..., [0, 2]].mean(axis=(0, 1)), places.shape)
     assert off(places, test.centers) < 0.06 < 0.1 * off(blind, test.centers)
     assert off(velocities, test.velocities) < 0.5 * off(np.zeros_like(velocities), test.velocities)
     # Of noise alone nothing is learnt, and what is found stays near the mean.
     dark = walks(30, 2, brightness=0.0)
-    lost, _ = followed(walks(20, 1, brightness=0.0), dark)
+    lost, _ = kalman_ways(walks(20, 1, brightness=0.0), dark)
     assert off(lost, dark.centers) < 1.5 * off(blind, dark.centers)
 
 
