@@ -48,7 +48,7 @@ demo: setup
 	$(BIN)/datagen show $(OUT) 0
 
 smoke: setup
-	$(BIN)/python tests/smoke.py
+	$(BIN)/python tests/tools/smoke.py
 
 # Types are checked beside the tests: mypy keeps one core busy for a minute.
 test: lint
@@ -94,9 +94,9 @@ fuzz: setup
 nightly: setup
 	$(BIN)/python -m pytest -n $(JOBS) -m nightly
 	$(MAKE) fuzz
-	$(BIN)/python tests/store/harm_table.py
-	$(BIN)/python tests/equivalence/mutations.py
-	$(BIN)/python tests/scene/many_rooms.py --specs $(ROOMS)
+	$(BIN)/python tests/benchmarks/harm_table.py
+	$(BIN)/python tests/tools/mutations.py
+	$(BIN)/python tests/benchmarks/many_rooms.py --specs $(ROOMS)
 
 bench: setup bench-scaling bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence \
 		bench-acceptance bench-sequences bench-peers

@@ -70,6 +70,16 @@ def test_imports_run_downward_and_never_in_a_circle() -> None:
     assert {room(name) for name in sources} == set(ROOMS.split()), "rooms that are not in the list"
 
 
+def test_scripts_and_tests_stand_apart() -> None:
+    """What somebody starts by hand is in `tests/benchmarks/` (it prints a table) or `tests/tools/`, no test is."""
+    tests = ROOT / "tests"
+    sources = {path.relative_to(tests): path.read_text(encoding="utf-8") for path in tests.rglob("*.py")}
+    by_hand = {str(path) for path, text in sources.items() if f"python tests/{path}" in text}
+    apart = {str(path) for path in sources if path.parts[0] in ("benchmarks", "tools")}
+    assert len(by_hand) > 15 and by_hand <= apart
+    assert not [path for path in apart if Path(path).name.startswith("test_")]
+
+
 def test_contributing_shows_the_same_list() -> None:
     shown = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace(" · ", " ")
     assert ROOMS.strip().replace("\n", "\n" + " " * 6) in shown

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import smoke
+from tools import smoke
 
 
 def test_a_tiny_scene_goes_through_the_whole_house(

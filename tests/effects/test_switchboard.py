@@ -167,7 +167,7 @@ def test_yaml_words_on_and_off_are_understood(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("index", range(3))
 def test_random_scenes_keep_the_promise(index: int) -> None:
-    """Other scenes than those that `promise_table.py` measures."""
+    """Other scenes than those that `benchmarks/promise_table.py` measures."""
     outcome = run_case(random_case(index, seed=77, samples=128))
     assert outcome.broken(0.01) == []
 

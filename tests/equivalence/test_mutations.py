@@ -1,10 +1,10 @@
-"""The table of `mutations.py` keeps up with the sources: each fault finds the text that it changes, and the test that
-is about it exists."""
+"""The table of `tools/mutations.py` keeps up with the sources: each fault finds the text that it changes, and the
+test that is about it exists."""
 
 from __future__ import annotations
 
 import pytest
-from equivalence.mutations import BESIDE, MUTATIONS, ROOT, TESTS, Mutation
+from tools.mutations import BESIDE, MUTATIONS, ROOT, TESTS, Mutation
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.name)

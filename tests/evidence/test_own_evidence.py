@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from matched_filter import MODES, farthest_of, ready, separation
+from benchmarks.matched_filter import MODES, farthest_of, ready, separation
 
 import datagen as dg
 from datagen.detector.expected import one_per_cycle_mean

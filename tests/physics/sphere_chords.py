@@ -1,7 +1,7 @@
 """The inside of a sphere of radius 1 m: shares of the light by path length, from chains of uniform points.
 
-`python tests/physics/sphere_chords.py` computes `data/sphere_chords.npz` anew (half a minute); a nightly test does so
-with other chains. After any bounce the next vertex is uniform on a Lambertian sphere (docs/physics.md).
+`python tests/tools/make_sphere_chords.py` computes `data/sphere_chords.npz` anew (half a minute); a nightly test does
+so with other chains. After any bounce the next vertex is uniform on a Lambertian sphere (docs/physics.md).
 """
 
 from __future__ import annotations
@@ -71,8 +71,3 @@ def _shares(rng: np.random.Generator, chains: int) -> NDArray[np.float64]:
         position = (path + np.linalg.norm(end - point, axis=1)) / WIDTH_M
         row[:] = np.bincount(np.floor(position).astype(int), weight, BINS + 20)[:BINS]
     return shares
-
-
-if __name__ == "__main__":
-    STORED.parent.mkdir(exist_ok=True)
-    np.savez_compressed(STORED, **chords(32, 500_000, 1)._asdict())

@@ -1,7 +1,7 @@
 """Datasets of all formats stay readable: those that are stored here are read as they were written.
 
 `format_N/dataset` was built from `format_N/config.yaml`, and `format_N/values.json` has what zarr reads in it
-(`make_format.py`). Format 2 is that of sequences; its sensor moves.
+(`tools/make_format.py`). Format 2 is that of sequences; its sensor moves.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from make_format import Kept
+from tools.make_format import Kept
 from torch.utils.data import DataLoader
 
 import datagen as dg

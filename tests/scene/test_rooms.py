@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from many_rooms import check_rooms
+from benchmarks.many_rooms import check_rooms
 from random_specs import CLOSED
 from room_laws import (
     assert_closed_surface,
@@ -34,7 +34,7 @@ def test_the_library_and_the_configuration_have_the_same_layouts() -> None:
 
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_random_specs_meet_every_law(kind: str) -> None:
-    """`many_rooms.py` does the same for as many settings as one has time for."""
+    """`benchmarks/many_rooms.py` does the same for as many settings as one has time for."""
     tally = check_rooms(kind, range(8), seed=1)
     assert tally.violations == []
     assert tally.rooms >= 6

@@ -1,5 +1,5 @@
-"""A small part of the table of `harm_table.py`: builds are killed and files corrupted. Nothing may be lost, read
-wrong without an error, or end in a traceback."""
+"""A small part of the table of `benchmarks/harm_table.py`: builds are killed and files corrupted. Nothing may be
+lost, read wrong without an error, or end in a traceback."""
 
 from __future__ import annotations
 

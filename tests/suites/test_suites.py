@@ -33,7 +33,7 @@ splits: {train: 0.6, val: 0.1, test: 0.3}
 
 
 def test_rooms_of_every_suite_are_the_published_ones() -> None:
-    """Where they change by intention the suite gets another number, and `tests/publish_suites.py` publishes it."""
+    """Where they change by intention the suite gets another number, and `tools/publish_suites.py` publishes it."""
     assert len(SUITES) == 8
     for name, suite in SUITES.items():
         config = suite.config

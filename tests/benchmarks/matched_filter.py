@@ -1,6 +1,6 @@
 """The separation of a matched filter on drawn histograms, with which a stated significance is compared.
 
-    PYTHONPATH=. python tests/evidence/matched_filter.py 200
+    python tests/benchmarks/matched_filter.py 200
 
 prints measured over stated separation for 200 random scenes of the ready configurations, with scans of 2 × 2 points
 and different kinds of detectors.

@@ -1,4 +1,4 @@
-"""Make the small dataset of a format that `test_format.py` reads: `python tests/regression/make_format.py NUMBER`.
+"""Make the small dataset of a format that `test_format.py` reads: `python tests/tools/make_format.py NUMBER`.
 
 It is made once for each number of the format, and again only where the number has not been released yet. The values
 beside it are read by zarr, not by datagen's own reader.
@@ -22,6 +22,8 @@ from datagen.pipeline import simulate_sample
 from datagen.records import Sample
 from datagen.store.verify import dataset_digest
 
+FORMATS = Path(__file__).resolve().parents[1] / "regression"
+
 
 @dataclass(frozen=True)
 class Kept:
@@ -31,7 +33,7 @@ class Kept:
 
     @property
     def folder(self) -> Path:
-        return Path(__file__).parent / f"format_{self.format}"
+        return FORMATS / f"format_{self.format}"
 
     @property
     def config(self) -> Path:

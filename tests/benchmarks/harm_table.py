@@ -1,4 +1,4 @@
-"""The harm that docs/datasets.md speaks of: `python tests/store/harm_table.py [--kills 200] [--corruptions 500]`.
+"""The harm of docs/datasets.md: `python tests/benchmarks/harm_table.py [--kills 200] [--corruptions 500]`.
 
 Exit status 1 where anything was lost, read wrong without a word, or ended in a traceback.
 """
@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "store"))
 # As in the tests: read when numpy is loaded, which is later.
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 

@@ -1,4 +1,4 @@
-"""Publish suites: `python tests/publish_suites.py [NAME…]` simulates their first scenes (a minute for all suites)
+"""Publish suites: `python tests/tools/publish_suites.py [NAME…]` simulates their first scenes (a minute for all)
 and writes `datagen/suites/NAME.json`.
 
 What was published of a name stays. A suite whose rooms or light must change beyond their errors gets the next number.

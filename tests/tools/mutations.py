@@ -1,4 +1,4 @@
-"""Whether the tests notice faults: `python tests/equivalence/mutations.py [NAME …] [--limit 300]`.
+"""Whether the tests notice faults: `python tests/tools/mutations.py [NAME …] [--limit 300]`.
 
 Most mutations are small faults of physics in one kernel: a cosine or an attenuation that is missing, a density that
 is not the one of the draws, an edge of a bin, a shadow ray that is not traced. Others are faults of what is made of

@@ -1,6 +1,6 @@
 """Draw rooms from very many random settings and hold each against every law.
 
-    python tests/scene/many_rooms.py --specs 10000
+    python tests/benchmarks/many_rooms.py --specs 10000
 
 takes about ten minutes of one core for each layout; `--layout` and `--first` split the work. Prints one row of a
 table for each layout. Ends with status 1 on a violation, after naming every one of them.
@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scene"))
 
 import numpy as np
 from random_specs import random_spec

@@ -1,6 +1,6 @@
 """Test the switchboard's promise on many random scenes, and count what is left out of them.
 
-    python tests/effects/promise_table.py --scenes 36
+    python tests/benchmarks/promise_table.py --scenes 36
 
 takes some seconds of one core for each scene, and prints the numbers of `docs/physics.md`. Ends with status 1 if a
 scene differs by more than the tolerance, after naming it.
@@ -11,6 +11,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "effects"))
 
 from promise import Outcome, run_case
 from promise_cases import nearly_everything_skipped, nearly_nothing_skipped, random_case

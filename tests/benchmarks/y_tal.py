@@ -1,8 +1,8 @@
 """A hidden letter found again by y-tal, from three exported scans; see docs/exports.md.
 
-python tests/peers/y_tal.py build OUT           # three scans of one scene, exported; with datagen and h5py
-python tests/peers/y_tal.py reconstruct OUT     # filtered backprojection; with y-tal, which needs numpy < 2
-python tests/peers/y_tal.py draw OUT            # what was found beside what is there, and how far it is off
+python tests/benchmarks/y_tal.py build OUT           # three scans of one scene, exported; with datagen and h5py
+python tests/benchmarks/y_tal.py reconstruct OUT     # filtered backprojection; with y-tal, which needs numpy < 2
+python tests/benchmarks/y_tal.py draw OUT            # what was found beside what is there, and how far it is off
 """
 
 from __future__ import annotations
