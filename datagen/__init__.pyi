@@ -77,7 +77,7 @@ from .records import Transient as Transient
 from .scene import generate_scene as generate_scene
 from .scoring import Scores as Scores
 from .scoring import score as score
-from .suites import SuiteResult as SuiteResult
-from .suites import build_suite as build_suite
+from .suites.building import SuiteResult as SuiteResult
+from .suites.building import build_suite as build_suite
 from .transport import simulate as simulate
 from .transport import simulate_sequence as simulate_sequence

@@ -171,18 +171,18 @@ def compare(
 def device(names: tuple[str, ...], out: str | None) -> None:
     """Print all numbers of devices NAMES (of the catalogue, or files), each with its source; left out: the
     catalogue."""
-    from datagen.devices import device as named
-    from datagen.devices import device_names
+    from datagen.config.device import DeviceConfig, device_names, read_device
 
     if out is not None:
+        from datagen.devices import device as named
         from datagen.report.device_sheet import device_sheet
 
         say(device_sheet([named(name) for name in names or device_names()], out))
         return
     for name in names:
-        say(str(named(name)))
+        say(str(read_device(name, DeviceConfig)))
     if not names:
-        say("\n".join(f"{name:14} {named(name).description}" for name in device_names()))
+        say("\n".join(f"{name:14} {read_device(name, DeviceConfig).description}" for name in device_names()))
 
 
 @cli.command()
@@ -357,7 +357,7 @@ def reproduce(out: str, config: str | None, quick: bool, quiet: bool) -> None:
 def suite(name: str | None, path: str | None, workers: int, quiet: bool) -> None:
     """Build the benchmark set NAME in the folder OUT; without either, list the sets."""
     if_ended(GOES_ON)
-    from datagen.suites.catalogue import build_suite, find_suite, listing
+    from datagen.suites.catalogue import find_suite, listing
 
     if name is None:
         say(listing())
@@ -365,6 +365,8 @@ def suite(name: str | None, path: str | None, workers: int, quiet: bool) -> None
     find_suite(name)
     if path is None:
         raise click.UsageError("missing argument 'OUT'", click.get_current_context())
+    from datagen.suites.building import build_suite
+
     say(build_suite(name, path, workers, progress=not quiet).summary())
 
 

@@ -33,7 +33,7 @@ from datagen.baselines.walks import Walks, read_walks
 from datagen.labels.frame import ViewFrame
 from datagen.records import Rectangle
 from datagen.report.style import captioned, house_style, save_png
-from datagen.suites import find_suite
+from datagen.suites.catalogue import find_suite
 
 SUITE = "tracking-1"
 NEAR_M = 0.25

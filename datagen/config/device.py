@@ -16,10 +16,10 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from datagen.config.base import Settings, from_plain, named_file, near_hint
 from datagen.config.yaml_text import read_yaml
-from datagen.errors import InputError, shown
+from datagen.errors import InputError, as_line, shown
 from datagen.records import Pairing, TimeAxis
 from datagen.records.arrays import Floats
-from datagen.records.checks import check_path
+from datagen.records.checks import check_kind, check_path
 from datagen.untrusted import one_line, read_npz
 
 FOLDER = Path(__file__).parents[1] / "devices" / "catalogue"
@@ -218,6 +218,27 @@ class DeviceConfig(Settings):
         width = self.time.bin_width_ps * 1e-12
         steps = self.time.steps
         return TimeAxis(self.time.bins * steps, width / steps, -self.time.zero_bin * width, "source")
+
+    def __str__(self) -> str:
+        """A table of all numbers and where each comes from."""
+        lines = [f"{self.name}: {self.description}", f"  wavelength_nm = {self.wavelength_nm:g}"]
+        for section in ("zones", "light", "time", "pulse", "counting"):
+            for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
+                lines.append(f"  {section}.{key} = {_short(value)}")
+                lines.append(f"      {self.source_of(section, key)}")
+        return "\n".join(map(as_line, lines))
+
+    def source_of(self, section: str, key: str) -> str:
+        """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
+        for name, value in (("section", section), ("key", key)):
+            check_kind(name, value, str, remedy="such as source_of('time', 'bins')")
+        return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
+
+
+def _short(value: object) -> str:
+    """A value for the table; long lists are cut."""
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
 
 
 @cache

@@ -17,7 +17,7 @@ from datagen.detector import Exposure, Spad, detector_for
 from datagen.devices.frames import Frames, check_poses
 from datagen.devices.yaml_files import check_yaml_path, write_yaml
 from datagen.devices.zone_order import in_device_order
-from datagen.errors import InputError, InputWarning, as_line
+from datagen.errors import InputError, InputWarning
 from datagen.records import Capture
 from datagen.records.checks import as_points, as_reals, check_kind
 
@@ -60,21 +60,6 @@ class Device(DeviceConfig):
         place, forward, up = matrix[:3, 3], matrix[:3, 2], matrix[:3, 1]
         return self.at(place, place + forward, up)
 
-    def __str__(self) -> str:
-        """A table of all numbers and where each comes from."""
-        lines = [f"{self.name}: {self.description}", f"  wavelength_nm = {self.wavelength_nm:g}"]
-        for section in ("zones", "light", "time", "pulse", "counting"):
-            for key, value in getattr(self, section).model_dump(exclude_defaults=True).items():
-                lines.append(f"  {section}.{key} = {_short(value)}")
-                lines.append(f"      {self.source_of(section, key)}")
-        return "\n".join(map(as_line, lines))
-
-    def source_of(self, section: str, key: str) -> str:
-        """Where a number comes from: the source of its key, or of its section; empty where none is stated."""
-        for name, value in (("section", section), ("key", key)):
-            check_kind(name, value, str, remedy="such as source_of('time', 'bins')")
-        return self.sources.get(f"{section}.{key}", self.sources.get(section, ""))
-
     @property
     def spad(self) -> Spad:
         """The detector."""
@@ -88,12 +73,6 @@ class Device(DeviceConfig):
     def _detector(self) -> tuple[Spad, Exposure]:
         """Detector and exposure, as of the scenes of a dataset with this device."""
         return detector_for(DetectorConfig().of_device(self), 0, 0)
-
-
-def _short(value: object) -> str:
-    """A value for the table; long lists are cut."""
-    text = f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}…"
 
 
 def has_shape_of(frames: Frames, device: Device, zones: int) -> bool:

@@ -21,7 +21,7 @@ from datagen.scoring.truth import Truth, read_truth
 from datagen.store import Manifest, read_manifest
 from datagen.store.files import finite
 from datagen.store.summaries import LEAST
-from datagen.suites import is_published
+from datagen.suites.building import is_published
 
 TITLES = {
     "depth_rmse_m": "root mean square error of depth on pixels of objects (m)",

@@ -1,5 +1,5 @@
-"""Benchmark datasets, of which the first scenes are published: `datagen suite`."""
+"""Benchmark datasets, of which the first scenes are published: `datagen suite`.
 
-from datagen.suites.catalogue import SUITES, Suite, SuiteResult, build_suite, find_suite, is_published, suite_of
-
-__all__ = ["SUITES", "Suite", "SuiteResult", "build_suite", "find_suite", "is_published", "suite_of"]
+`catalogue` names them and imports no more than configurations, so that a list of them takes no time; `building` and
+`published` make them and know them again.
+"""

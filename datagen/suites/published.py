@@ -23,6 +23,7 @@ from datagen.scene import generate_scene
 from datagen.store.files import json_bytes, parsed, read_whole
 from datagen.store.record import Parameter
 from datagen.store.scenes import Scenes
+from datagen.suites.catalogue import Suite
 
 SCENES = 4
 """First scenes of a suite that are published: enough to tell other rooms or other light, and made in seconds."""
@@ -89,6 +90,11 @@ def _published_scene(config: DatasetConfig, index: int) -> PublishedScene:
     error = float(sample.parameters["transient.relative_error"])
     ways = sample.arrays["object_box_center"].ravel().tolist() if moves else ()
     return PublishedScene(room_of(config, index), tuple(counts.round(3).tolist()), error, tuple(ways))
+
+
+def published_of(suite: Suite) -> Published:
+    """The first scenes of a suite as published."""
+    return Published.read(suite.path.with_suffix(".json"))
 
 
 def check_agreement(dataset: str | Path, published: Published) -> Agreement:

@@ -143,6 +143,18 @@ print("loaded:", *sorted({name.partition(".")[0] for name in set(sys.modules) - 
     assert "build" in printed and printed.splitlines()[-1] == "loaded: click datagen lazy_loader"
 
 
+@pytest.mark.parametrize("command", [["device"], ["device", "tmf8820"], ["suite"]])
+def test_lists_are_quick_because_they_load_configurations_alone(command: list[str]) -> None:
+    code = f"""
+import sys
+from datagen.cli import run
+assert run({command}) == 0
+print("loaded:", *sorted({{"numba", "open3d", "scipy", "torch", "trimesh", "zarr"}} & set(sys.modules)))
+"""
+    printed = subprocess.check_output([sys.executable, "-c", code], text=True)
+    assert len(printed.splitlines()) > 8 and printed.splitlines()[-1] == "loaded:"
+
+
 def test_a_reader_that_leaves_early_is_no_error() -> None:
     pipe = subprocess.Popen(
         [sys.executable, "-m", "datagen", "schema"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
