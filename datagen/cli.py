@@ -7,13 +7,16 @@ import shlex
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, cast
 
 import click
 
 from datagen._version import __version__
 from datagen.errors import CheckError, as_line
 from datagen.exit_status import CHANGED_NOTHING, GOES_ON, exit_with, guarded, if_ended, say
+
+if TYPE_CHECKING:
+    from datagen.devices import Comparison
 
 
 @click.group(
@@ -70,11 +73,7 @@ def calibrate(
     from datagen.devices import device, read_frames, read_materials, write_device
     from datagen.errors import InputError
 
-    if picture is not None:
-        # A wrong name of the picture is found before the device file is written.
-        from datagen.report.style import check_png
-
-        check_png(picture, "picture")
+    _check_picture(picture)
     frames = read_frames(sweep)
     materials = [None] if plane is None else [*read_materials(plane).values()]
     if len(materials) != 1:
@@ -99,7 +98,7 @@ def calibrate(
 
 @cli.command()
 @click.argument("captures")
-@click.argument("simulated", required=False)
+@click.argument("simulated", required=False, metavar="")
 @click.option("--device", "name", help="What recorded CAPTURES: a name of the catalogue, or a device file.")
 @click.option(
     "--mesh", "paths", multiple=True, help="What stood there, in metres, as the poses have it; may be repeated."
@@ -118,45 +117,72 @@ def calibrate(
 @click.option("--out", help="Write the device as fitted into this file, .yaml.")
 @click.option("--materials", help="Write what the surfaces are, as configurations have it, into this file, .yaml.")
 @click.option("--quiet", is_flag=True, help="No progress.")
+@click.pass_context
 def compare(
-    captures: str, simulated: str | None, name: str | None, paths: tuple[str, ...], fit: tuple[Any, ...],
-    fixed: bool, as_json: bool, picture: str | None, out: str | None, materials: str | None, quiet: bool,
+    context: click.Context, captures: str, simulated: str | None, name: str | None, paths: tuple[str, ...],
+    fit: tuple[Any, ...], fixed: bool, as_json: bool, picture: str | None, out: str | None, materials: str | None,
+    quiet: bool,
 ) -> None:  # fmt: skip
-    """Hold CAPTURES of a sensor at known poses against their simulation, or a dataset against a SIMULATED one."""
-    import json
+    """Hold CAPTURES of a sensor at known poses against their simulation."""
+    from datagen.errors import InputError
+
+    if simulated is not None:
+        given = {"--device": name, "--mesh": paths, "--out": out, "--materials": materials, "--fixed": fixed}
+        for option in (option for option, value in given.items() if value):
+            raise InputError(f"{option}: is not for two datasets; leave it out, or {simulated}")
+        context.invoke(compare_datasets, recorded=captures, simulated=simulated, as_json=as_json, picture=picture)
+        say("`datagen compare REAL SIMULATED` is now `datagen compare-datasets REAL SIMULATED`", err=True)
+        return
+    if name is None or not paths:
+        raise InputError(
+            "compare: give CAPTURES with --device and --mesh; two datasets: datagen compare-datasets REAL SIMULATED"
+        )
 
     from datagen.building.progress import Progress
     from datagen.devices import compare as held_against
-    from datagen.devices import compare_datasets, device, read_frames, read_parts, write_device, write_materials
+    from datagen.devices import device, read_frames, read_parts, write_device, write_materials
     from datagen.devices.material_files import check_materials_file
-    from datagen.errors import InputError
 
-    if picture is not None:
-        from datagen.report.style import check_png
-
-        check_png(picture, "picture")
+    _check_picture(picture)
     if materials is not None:
         check_materials_file(materials)
-    if (simulated is None) == (name is None or not paths):
-        raise InputError(
-            "compare: give CAPTURES with --device and --mesh, or two datasets: datagen compare REAL SIMULATED"
-        )
-    if simulated is not None:
-        for option, path in (("--out", out), ("--materials", materials)):
-            if path is not None:
-                raise InputError(f"{option} {path}: two datasets have no device that is fitted; leave it out")
-        found = compare_datasets(captures, simulated)
-    else:
-        assert name is not None
-        groups = () if fixed else fit
-        frames, parts = read_frames(captures), read_parts(paths)
-        with closing(Progress(not quiet)) as progress:
-            found = held_against(frames, device(name), parts, fit=groups, doing=progress.doing)
-    say(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
+    groups = () if fixed else fit
+    frames, parts = read_frames(captures), read_parts(paths)
+    with closing(Progress(not quiet)) as progress:
+        found = held_against(frames, device(name), parts, fit=groups, doing=progress.doing)
+    _tell_comparison(found, as_json, picture)
     if out is not None and found.device is not None:
         write_device(found.device, out)
     if materials is not None:
         write_materials(found.materials, materials)
+
+
+@cli.command("compare-datasets")
+@click.argument("recorded")
+@click.argument("simulated")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
+@click.option("--picture", help="Draw the best, median and worst histogram and the errors into this file, .png.")
+def compare_datasets(recorded: str, simulated: str, as_json: bool, picture: str | None) -> None:
+    """Hold the histograms of the dataset RECORDED against those of SIMULATED, scene by scene."""
+    from datagen.devices import compare_datasets as held_against
+
+    _check_picture(picture)
+    _tell_comparison(held_against(recorded, simulated), as_json, picture)
+
+
+def _check_picture(picture: str | None) -> None:
+    """Find a wrong name of a picture before the work, and before other files are written."""
+    if picture is not None:
+        from datagen.report.style import check_png
+
+        check_png(picture, "picture")
+
+
+def _tell_comparison(found: Comparison, as_json: bool, picture: str | None) -> None:
+    """Print a comparison, and draw it where a picture is asked for."""
+    import json
+
+    say(json.dumps(found.as_dict(), indent=1) if as_json else found.text())
     if picture is not None:
         from datagen.report.device_plots import draw_comparison
 

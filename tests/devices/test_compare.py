@@ -297,14 +297,14 @@ def test_two_datasets_are_compared(tmp_path: Path) -> None:
     found = dg.compare_datasets(tmp_path / "three", tmp_path / "one")
     scale: Fitted = found.fitted["scale"]
     assert abs(scale.value - 3) < 5 * scale.error + 0.05
-    result = CliRunner().invoke(cli, ["compare", str(tmp_path / "three"), str(tmp_path / "one")])
-    assert result.exit_code == 0 and "scale" in result.output
-    with pytest.raises(InputError, match="two datasets have no device"):
-        CliRunner().invoke(
-            cli,
-            ["compare", str(tmp_path / "three"), str(tmp_path / "one"), "--out", "x.yaml"],
-            catch_exceptions=False,
-        )
+    both = [str(tmp_path / "three"), str(tmp_path / "one")]
+    result = CliRunner().invoke(cli, ["compare-datasets", *both])
+    assert result.exit_code == 0 and "scale" in result.stdout and result.stderr == ""
+    # As in 1.1, and with a word.
+    before = CliRunner().invoke(cli, ["compare", *both])
+    assert before.exit_code == 0 and before.stdout == result.stdout and "compare-datasets" in before.stderr
+    with pytest.raises(InputError, match="--out: is not for two datasets"):
+        CliRunner().invoke(cli, ["compare", *both, "--out", "x.yaml"], catch_exceptions=False)
 
 
 def test_each_frame_of_sequences_is_compared(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import trimesh
 
 from datagen.building.input_check import check_inputs
 from datagen.config import config_from_mapping
-from datagen.devices.compare import read_parts
+from datagen.devices import read_parts
 from datagen.errors import InputError, InputWarning
 from scene_library import polygon_files
 from scene_library.mesh_file import BadMesh
