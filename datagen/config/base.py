@@ -27,8 +27,6 @@ class Settings(BaseModel):
         validate_default=True,
     )  # fmt: skip
 
-    gone: ClassVar[dict[str, str]] = {}
-    """Keys that earlier versions had → what takes their place."""
     is_offered: ClassVar[bool] = True
     """Whether error messages list this kind among those to choose from; False for kinds that only datagen writes."""
 
@@ -124,8 +122,7 @@ def _explain(detail: Any, model: type[BaseModel]) -> str:
     match problem:
         case "extra_forbidden":
             known = sorted({name for one in models for name in one.model_fields})
-            gone = next((str(w) for one in models if (w := getattr(one, "gone", {}).get(location[-1]))), "")
-            hint = gone or near_hint(location[-1], known, cutoff=0.5) or f"known keys: {', '.join(known)}"
+            hint = near_hint(location[-1], known, cutoff=0.5) or f"known keys: {', '.join(known)}"
             return f"{key and f'{key}.'}{location[-1]}: unknown key; {hint}"
         case "missing":
             return f"{key}: missing; this key is required"

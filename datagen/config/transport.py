@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from datagen.config.base import Settings
 from datagen.errors import InputError
 from datagen.records import Accuracy
-from datagen.records.accuracy import GONE, LIMITS, MAX_BOUNCES, TARGETS
+from datagen.records.accuracy import LIMITS, MAX_BOUNCES, TARGETS
 
 
 def _within(name: str) -> Any:
@@ -20,8 +20,6 @@ def _within(name: str) -> Any:
 
 class TransportConfig(Settings):
     """Accuracy and effects; see `datagen.Accuracy`."""
-
-    gone: ClassVar[dict[str, str]] = GONE
 
     target: Annotated[float, _within("target")] | None = None
     """Relative L2 error of each transient that is aimed at; 0.02 if `samples` are not given either."""

@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from datagen.config.effects import EffectsConfig
 from datagen.detector import Exposure, Spad
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE
-from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection
-from datagen.effects.rule import Decision, Effect, decide
+from datagen.effects.detector_effects import DETECTOR_EFFECTS, Detection, Detector
+from datagen.effects.rule import Decision, Effect, Reduced, decide
 from datagen.effects.transport_effects import TRANSPORT_EFFECTS, Transport
 from datagen.effects.trial import few_samples
 from datagen.errors import InputError, shown
@@ -22,7 +20,7 @@ from datagen.records.checks import check_kind, check_number, check_seed
 from datagen.transport import transient_of
 from datagen.transport.rays import Raycaster
 
-EFFECTS: tuple[Effect[Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
+EFFECTS: tuple[Effect[Any, Any], ...] = (*TRANSPORT_EFFECTS, *DETECTOR_EFFECTS)
 """All effects, in the order in which light meets them."""
 
 PILOT_SAMPLES = 64
@@ -65,8 +63,7 @@ class EffectDecisions:
     ) -> tuple[Spad, Exposure, float]:
         """The detector, the exposure and the tolerance for `detect`, which is 0 if an effect of the dead time or of
         avalanches is switched on."""
-        given = Detection(np.zeros((1, 1, 1)), TimeAxis(1, 1e-9), spad, exposure, tolerance)
-        reduced = _applied(DETECTOR_EFFECTS, self.decisions, given)
+        reduced = _applied(DETECTOR_EFFECTS, self.decisions, Detector(spad, exposure, tolerance))
         return reduced.spad, reduced.exposure, reduced.tolerance
 
     def parameters(self) -> dict[str, Scalar]:
@@ -93,7 +90,7 @@ def decide_detector_effects(
     settings: EffectsConfig | None = None, tolerance: float = DEFAULT_TOLERANCE,
 ) -> EffectDecisions:  # fmt: skip
     """The decisions on the detector's effects; parameters as of `plan_effects`, transient (laser, pixel, bin)."""
-    return _decided(DETECTOR_EFFECTS, Detection(transient, time, spad, exposure, tolerance), settings)
+    return _decided(DETECTOR_EFFECTS, Detection(spad, exposure, tolerance, transient, time), settings)
 
 
 def plan_effects(
@@ -148,13 +145,13 @@ def plan_effects(
     return decided + decide_detector_effects(*seen, settings, tolerance)
 
 
-def _decided(rows: Sequence[Effect[Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:
+def _decided(rows: Sequence[Effect[Any, Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:
     """The decisions on the effects of one stage."""
     settings = settings or EffectsConfig()
     return EffectDecisions(decide(rows, given, settings.of, settings.tolerance), settings.tolerance)
 
 
-def _applied(rows: Sequence[Effect[Any]], decisions: Sequence[Decision], given: Any) -> Any:
+def _applied(rows: Sequence[Effect[Any, Reduced]], decisions: Sequence[Decision], given: Reduced) -> Reduced:
     """The scene or detector with the decisions applied, last row first, as pile-up is left out according to the mode
     that dead time across cycles leaves."""
     by_effect = {decision.effect: decision for decision in decisions}

@@ -32,25 +32,22 @@ so that its bound is not computed."""
 
 
 @dataclass(frozen=True)
-class Detection:
-    """A transient, and the detector whose counts of it are simulated.
+class Detector:
+    """What an effect is left out of: a detector, its exposure, and how exactly counts are drawn.
 
-    transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
     tolerance : `detector.tolerance`, the relative bias that a cheaper sampler may have.
     """
 
-    transient: Floats
-    time: TimeAxis
     spad: Spad
     exposure: Exposure
     tolerance: float
 
-    def with_spad(self, **changes: object) -> Detection:
-        """The detection with other values of some fields of `Spad`."""
+    def with_spad(self, **changes: object) -> Detector:
+        """The detector with other values of some fields of `Spad`."""
         return replace(self, spad=replace(self.spad, **changes))  # type: ignore[arg-type]
 
-    def with_exposure(self, **changes: object) -> Detection:
-        """The detection with other values of some fields of `Exposure`."""
+    def with_exposure(self, **changes: object) -> Detector:
+        """The detector with other values of some fields of `Exposure`."""
         return replace(self, exposure=replace(self.exposure, **changes))  # type: ignore[arg-type]
 
     @property
@@ -67,6 +64,17 @@ class Detection:
     def whole_periods(self) -> int:
         """Number of whole laser periods in the dead time."""
         return int(np.floor(self.spad.dead_time_s * self.exposure.repetition_rate_hz * (1 + 1e-15)))
+
+
+@dataclass(frozen=True)
+class Detection(Detector):
+    """A transient, and the detector whose counts of it are simulated: what decisions rest on.
+
+    transient : (laser, pixel, bin) expected photons at the aperture per emitted photon.
+    """
+
+    transient: Floats
+    time: TimeAxis
 
     @property
     def most_events_per_cycle(self) -> float:
@@ -155,20 +163,20 @@ def _unequal_bins(given: Detection) -> Change:
     return Change(moved / (1.0 - moved) if moved < 1.0 else None, "bound", reason)
 
 
-def _without_pile_up(given: Detection) -> Detection:
-    """The detection without distortion by dead time. In whole laser periods a dead time thins all bins alike."""
+def _without_pile_up(given: Detector) -> Detector:
+    """The detector without distortion by dead time. In whole laser periods a dead time thins all bins alike."""
     periods = given.whole_periods
     if given.spad.mode == "free_running" and not given.spad.paralyzable and periods > 0:
         return given.with_spad(dead_time_s=periods * given.exposure.period_s)
     return given.with_spad(dead_time_s=0.0, paralyzable=False)
 
 
-def _exactly(given: Detection, setting: str) -> Detection:
-    """The detection with exact samplers only."""
+def _exactly(given: Detector, setting: str) -> Detector:
+    """The detector with exact samplers only."""
     return replace(given, tolerance=0.0)
 
 
-DETECTOR_EFFECTS: tuple[Effect[Detection], ...] = (
+DETECTOR_EFFECTS: tuple[Effect[Detection, Detector], ...] = (
     Effect(
         "timing_response", "laser pulse and jitter (IRF)",
         lambda d: d.exposure.pulse is not None or d.exposure.pulse_fwhm_s > 0 or d.spad.jitter_fwhm_s > 0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 Kind = Literal["bound", "trial", "always", "forced", "absent"]
 Given = TypeVar("Given")
+Reduced = TypeVar("Reduced")
 
 
 @dataclass(frozen=True)
@@ -25,25 +26,26 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Effect(Generic[Given]):
-    """One row of the table of effects. `Given` is the input of its stage: `Transport` or `Detection`.
+class Effect(Generic[Given, Reduced]):
+    """One row of the table of effects. `Given` is what its decision rests on, `Transport` or `Detection`; `Reduced`
+    is what it is left out of, `Transport` or `Detector`.
 
     name : key of the effect in the configuration's section `effects`.
     title : name of the effect for people.
     present : whether there is anything to simulate.
-    without : the input of the stage without the effect.
+    without : what is simulated without the effect.
     change : the change if it is left out; None for an effect that `auto` always simulates.
     saves : about the largest share of its stage's time that leaving it out can save; 0 if it saves none.
-    always : the input of the stage with the effect switched on by the setting, the second argument.
+    always : what is simulated with the effect switched on by the setting, the second argument.
     """
 
     name: str
     title: str
     present: Callable[[Given], bool]
-    without: Callable[[Given], Given]
+    without: Callable[[Reduced], Reduced]
     change: Callable[[Given], Change] | None = None
     saves: float = 0.0
-    always: Callable[[Given, str], Given] = lambda given, setting: given
+    always: Callable[[Reduced, str], Reduced] = lambda given, setting: given
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Decision:
 
 
 def decide(
-    rows: Iterable[Effect[Given]], given: Given, setting_of: Callable[[str], str], tolerance: float
+    rows: Iterable[Effect[Given, Any]], given: Given, setting_of: Callable[[str], str], tolerance: float
 ) -> tuple[Decision, ...]:
     """The decisions on the effects of one stage, in the order of the table.
 
@@ -95,7 +97,7 @@ def decide(
     return tuple(decisions[row.name] for row in rows)
 
 
-def _decided(row: Effect[Given], given: Given, setting: str, allowance: float) -> Decision:
+def _decided(row: Effect[Given, Any], given: Given, setting: str, allowance: float) -> Decision:
     """The decision on one effect, which may change the result by `allowance`."""
     if not row.present(given):
         return Decision(row.name, setting, False, 0.0, "absent", allowance, "there is none")

@@ -156,7 +156,7 @@ def _without_secondary(given: Transport) -> Transport:
     return given.with_accuracy(secondary=False)
 
 
-TRANSPORT_EFFECTS: tuple[Effect[Transport], ...] = (
+TRANSPORT_EFFECTS: tuple[Effect[Transport, Transport], ...] = (
     Effect(
         "direct_return", "direct return", lambda g: g.accuracy.direct, lambda g: g.with_accuracy(direct=False),
         _direct_return, 0.3,

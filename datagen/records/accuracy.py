@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import wraps
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from datagen.errors import InputError
 from datagen.records.checks import check_flag, check_integer, check_number
@@ -21,29 +20,8 @@ TARGET = 0.02
 PARTS_PER_TARGET = 2.5
 """Default of `part_target` in units of `target`: an object's light as accurate as the whole transient would cost
 several times as much."""
-GONE = {
-    "observed": "the paper's scheme is datagen.paper.secondary(scene, capture, lookins, observed, strongest)",
-    "strongest": "the paper's scheme is datagen.paper.secondary(scene, capture, lookins, observed, strongest)",
-    "lookins": "set target, the error that is aimed at, or samples, the paths of each pair of laser point and pixel",
-}
-"""Names that earlier versions had → what takes their place."""
 
 
-def _naming_what_is_gone(kind: type[T]) -> type[T]:
-    """The class, whose `__init__` says what has taken the place of a name in `GONE`."""
-    init: Any = kind.__init__
-
-    @wraps(init)
-    def with_check(self: Any, *values: Any, **named: Any) -> None:
-        for name in GONE.keys() & named.keys():
-            raise InputError(f"{kind.__name__}.{name} = {named[name]!r}: is no longer there; {GONE[name]}")
-        init(self, *values, **named)
-
-    kind.__init__ = with_check  # type: ignore[method-assign]
-    return kind
-
-
-@_naming_what_is_gone
 @dataclass(frozen=True)
 class Accuracy:
     """How accurately the light is simulated: to a `target`, or with so many `samples`.

@@ -68,7 +68,7 @@ def random_detection(rng: np.random.Generator) -> Detection:
         spad = replace(spad, afterpulse_probability=0.0, crosstalk_probability=0.0)
     if rng.random() < 0.5:
         spad = replace(spad, tdc_dnl=chance(1e-6, 1.0), tdc_period_bins=int(chance(8, 200)))
-    return Detection(signal(rng), AXIS, spad, exposure, 1e-3)
+    return Detection(spad, exposure, 1e-3, signal(rng), AXIS)
 
 
 def change(given: Detection, without: Detection) -> float:
@@ -108,7 +108,7 @@ def test_bright_light_outside_the_gate_counts() -> None:
     values = np.full((1, 1, AXIS.bins), 1e-12)
     values[..., 20] = 1e-8
     spad = Spad(pde=0.3, mode="ideal", jitter_tail_s=2e-11, gate_start_s=4.2e-9, gate_width_s=1e-8)
-    given = Detection(values, AXIS, spad, Exposure(cycles=1000, photons_per_pulse=1e10), 1e-3)
+    given = Detection(spad, Exposure(cycles=1000, photons_per_pulse=1e10), 1e-3, values, AXIS)
     row = ROWS["timing_response"]
     assert row.change is not None
     found, actual = row.change(given), change(given, row.without(given))
