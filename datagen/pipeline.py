@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +24,12 @@ from datagen.effects.transport_effects import TRANSPORT_EFFECTS
 from datagen.errors import InputError
 from datagen.evidence import evidence_image, light_in_sight
 from datagen.evidence.change import change_parameters, change_tables, changes_of
-from datagen.evidence.image import representative_pairs
-from datagen.evidence.own import UNKNOWN, evidence_and_gain, evidence_parameters, evidence_tables
+from datagen.evidence.image import ScanPairs, representative_pairs
+from datagen.evidence.own import UNKNOWN, Evidence, evidence_and_gain, evidence_parameters, evidence_tables
 from datagen.evidence.presence import UNKNOWN as PRESENCE_UNKNOWN
 from datagen.evidence.presence import Presence, presence_against, presence_parameters, presence_table
-from datagen.labels import MADE_HERE, make_labels
+from datagen.labels import LABEL_MAKERS, Truth
 from datagen.labels.frame import scan_place
-from datagen.labels.images import hidden_surface
 from datagen.labels.motion import motion_tables
 from datagen.records import Capture, Clock, Sample, Scalar, Scene, SequenceLight, TimeAxis, Transient
 from datagen.records.arrays import Floats, l2_norm
@@ -399,38 +399,93 @@ def counts_of(setup: Setup, light: SceneLight) -> Counts:
     return Counts(histogram, background, spad, exposure, effects, sampler)
 
 
+@dataclass(frozen=True)
+class Known:
+    """What labels are made of: a scene, its light, and its counts. What several of them need is found once."""
+
+    setup: Setup
+    light: SceneLight
+    counts: Counts
+
+    @cached_property
+    def truth(self) -> Truth:
+        """Of labels that need the scene alone."""
+        config = self.setup.config
+        return Truth(config.labels, self.setup.scene, config.scene.object_classes(), config.scene.most_objects())
+
+    @cached_property
+    def pairs(self) -> ScanPairs | None:
+        """The pairs of laser points and pixels of the evidence image; None where it is not stored."""
+        wanted = "evidence" in self.setup.fields
+        return representative_pairs(self.setup.caster, self.setup.scene, self.setup.capture) if wanted else None
+
+    @cached_property
+    def evidence_and_gain(self) -> tuple[dict[str, Evidence], Floats]:
+        """The evidence of each object, and the gain of the evidence image."""
+        scene, light, counts = self.setup.scene, self.light, self.counts
+        split = [name for name in scene.objects if name in light.transient.parts]
+        known, gain = evidence_and_gain(
+            light.transient, counts.spad, counts.exposure, split, self.pairs, light.in_sight
+        )
+        return {name: known.get(name, UNKNOWN) for name in scene.objects}, gain
+
+    @cached_property
+    def presence(self) -> dict[str, Presence]:
+        """The presence of each object; empty where it is not stored."""
+        if "presence" not in self.setup.fields:
+            return {}
+        light, counts = self.light, self.counts
+        compared = presence_against(light.transient, light.without, counts.spad, counts.exposure)
+        return {name: compared.get(name, PRESENCE_UNKNOWN) for name in self.setup.scene.objects}
+
+    def evidence_image(self) -> dict[str, NDArray[np.generic]]:
+        """The label `evidence`."""
+        (_, gain), setup = self.evidence_and_gain, self.setup
+        return {"evidence": evidence_image(setup.caster, self.truth.surface, setup.capture, self.pairs, gain)}
+
+    def objects(self) -> dict[str, NDArray[np.generic]]:
+        """The label `objects`: boxes, and how well each can be detected."""
+        evidence, _ = self.evidence_and_gain
+        return self.truth.objects() | evidence_tables(
+            tuple(evidence.values()), self.setup.config.scene.most_objects()
+        )
+
+    def presence_table(self) -> dict[str, NDArray[np.generic]]:
+        """The label `presence`."""
+        rows = self.setup.config.scene.most_objects()
+        return {"object_presence": presence_table(tuple(self.presence.values()), rows)}
+
+    def zone_depth(self) -> dict[str, NDArray[np.generic]]:
+        """The label `zone_depth`."""
+        return {"zone_depth": zone_depth(self.setup.scene, self.setup.capture).astype(np.float32)}
+
+
+def _of_truth(make: Callable[[Truth], dict[str, Any]]) -> Callable[[Known], dict[str, NDArray[np.generic]]]:
+    return lambda known: make(known.truth)
+
+
+MAKERS: dict[str, tuple[str, Callable[[Known], dict[str, NDArray[np.generic]]]]] = {
+    "evidence": ("evidence", Known.evidence_image),
+    "presence": ("presence", Known.presence_table),
+    **{name: ("labels", _of_truth(make)) for name, make in LABEL_MAKERS.items()},
+    "objects": ("labels", Known.objects),
+    "zone_depth": ("labels", Known.zone_depth),
+}
+"""Label → the key of `Sample.seconds` that its time is added to, and what makes its arrays."""
+
+
 def labels_of(
     setup: Setup, light: SceneLight, counts: Counts
 ) -> tuple[dict[str, NDArray[np.generic]], dict[str, Scalar]]:
     """Field → what is to be learned about the scene; and how well its objects can be detected, as parameters."""
-    config, scene, fields, capacity = setup.config, setup.scene, setup.fields, setup.config.scene.most_objects()
-    timed = partial(_timed, setup.seconds)
-    arrays, pairs, surface = dict[str, NDArray[np.generic]](), None, None
-    if "evidence" in fields:
-        with timed("labels"):
-            surface = hidden_surface(scene, config.labels.rows, config.labels.columns)
-        with timed("evidence"):
-            pairs = representative_pairs(setup.caster, scene, setup.capture)
-    with timed("evidence"):
-        split = [name for name in scene.objects if name in light.transient.parts]
-        known, gain = evidence_and_gain(light.transient, counts.spad, counts.exposure, split, pairs, light.in_sight)
-        evidence = {name: known.get(name, UNKNOWN) for name in scene.objects}
-        if surface is not None:
-            arrays["evidence"] = evidence_image(setup.caster, surface, setup.capture, pairs, gain)
-    presence = dict[str, Presence]()
-    if "presence" in fields:
-        with timed("presence"):
-            compared = presence_against(light.transient, light.without, counts.spad, counts.exposure)
-            presence = {name: compared.get(name, PRESENCE_UNKNOWN) for name in scene.objects}
-        arrays["object_presence"] = presence_table(tuple(presence.values()), capacity)
-    with timed("labels"):
-        wanted = [name for name in fields if name in MADE_HERE]
-        arrays |= make_labels(config.labels, scene, wanted, config.scene.object_classes(), capacity, surface)
-        if "objects" in wanted:
-            arrays |= evidence_tables(tuple(evidence.values()), capacity)
-        if "zone_depth" in fields:
-            arrays["zone_depth"] = zone_depth(scene, setup.capture).astype(np.float32)
-    return arrays, evidence_parameters(evidence) | presence_parameters(presence)
+    known, arrays = Known(setup, light, counts), dict[str, NDArray[np.generic]]()
+    with _timed(setup.seconds, "evidence"):
+        evidence, _ = known.evidence_and_gain
+    for name, (stage, make) in MAKERS.items():
+        if name in setup.fields:
+            with _timed(setup.seconds, stage):
+                arrays |= make(known)
+    return arrays, evidence_parameters(evidence) | presence_parameters(known.presence)
 
 
 def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:

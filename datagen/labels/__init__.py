@@ -7,6 +7,6 @@ normal right × up, which points from the wall into the room. See `datagen.label
 
 from datagen.labels.boxes import OBJECT_TABLES, ObjectBoxes
 from datagen.labels.frame import ViewFrame
-from datagen.labels.make import MADE_HERE, make_labels
+from datagen.labels.make import LABEL_MAKERS, Truth, make_labels
 
-__all__ = ["MADE_HERE", "OBJECT_TABLES", "ObjectBoxes", "ViewFrame", "make_labels"]
+__all__ = ["LABEL_MAKERS", "OBJECT_TABLES", "ObjectBoxes", "Truth", "ViewFrame", "make_labels"]

@@ -12,7 +12,7 @@ from datagen.config import DatasetConfig
 from datagen.design.exposure import with_exposure_found
 from datagen.design.scene_for import scene_for
 from datagen.errors import InputError
-from datagen.labels import MADE_HERE, ObjectBoxes, make_labels
+from datagen.labels import LABEL_MAKERS, ObjectBoxes, make_labels
 from datagen.labels.boxes import classes_in
 from datagen.records import Scene
 from datagen.records.checks import as_given
@@ -86,7 +86,7 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], labels: int, o
         raise InputError(f"{as_given('labels', labels)}: a sheet of labels holds 1 … {MOST_LABELLED} rooms")
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     # Parts come last, where there is room for their names.
-    fields = sorted((name for name in MADE_HERE if name in DRAWN), key=lambda field: field == "part_id")
+    fields = sorted((name for name in LABEL_MAKERS if name in DRAWN), key=lambda field: field == "part_id")
     wide, high = _PANEL_IN
     lines = -(-(3 + len(fields)) // _PANELS_ACROSS)
     text = (

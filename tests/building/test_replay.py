@@ -24,6 +24,7 @@ from datagen.building.resimulate import resimulate
 from datagen.cli import run
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.design import light
+from datagen.labels import make
 from datagen.pipeline import STAGES, simulate_sample, stage_of_parameter
 from datagen.records import Sample
 from datagen.records.label_fields import LABEL_FIELDS
@@ -205,7 +206,7 @@ def for_another(purpose: Purpose) -> Callable[..., int]:
         ("light", wrong(light, "derived_seed", for_another(Purpose.TRANSPORT))),
         ("counts", wrong(pipeline, "derived_seed", for_another(Purpose.DETECTOR))),
         ("evidence", wrong(pipeline, "evidence_image", lambda image, *_: image * 2)),
-        ("labels", wrong(pipeline, "make_labels", lambda labels, *_: labels | {"depth": labels["depth"] + 1})),
+        ("labels", wrong(make, "depth_image", lambda image, *_: image + 1)),
     ],
     ids=["another room", "moved laser", "other detector", "other paint", "other paths", "other counts",
          "other evidence", "other depth"],

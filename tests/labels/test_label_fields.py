@@ -10,7 +10,7 @@ import numpy as np
 from handmade_rooms import l_corridor
 
 from datagen.config import LabelsConfig, config_from_mapping
-from datagen.labels import MADE_HERE, make_labels
+from datagen.labels import LABEL_MAKERS, make_labels
 from datagen.records.label_fields import LABEL_FIELDS, LabelName, drawn
 from datagen.store.schema import schema_of
 from datagen.store.shard import encoded
@@ -25,7 +25,7 @@ def test_every_name_of_the_configuration_has_rows_and_every_row_a_name() -> None
 
 def test_labels_are_made_as_the_table_says() -> None:
     config = LabelsConfig(rows=4, columns=5, voxels=(2, 3, 4))
-    made = make_labels(config, l_corridor(), MADE_HERE)
+    made = make_labels(config, l_corridor(), LABEL_MAKERS)
     rows = {of.name: of for of in LABEL_FIELDS if of.made_by.startswith("labels.") and of.over_frames != "only"}
     assert set(made) == set(rows)
     sizes = {"row": 4, "column": 5, "axis": 3, "own_axis": 3, "voxel_depth": 2, "voxel_row": 3, "voxel_column": 4,
