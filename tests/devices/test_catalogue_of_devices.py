@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,8 @@ from datagen.capture.device_optics import zone_boxes
 from datagen.devices import device_names
 from datagen.devices.model import Device
 from datagen.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def before_a_plane(device: Device, metres: float) -> tuple[np.ndarray, dg.Capture]:
@@ -53,6 +58,68 @@ def test_every_number_has_its_source(name: str) -> None:
         for key in getattr(device, section).model_dump(exclude_defaults=True):
             assert device.source_of(section, key), f"{name}: {section}.{key} has no source"
     assert all(line in str(device) for line in ("wavelength_nm", "counting.pde"))
+
+
+def said_otherwise(device: Device) -> list[str]:
+    """What a device's description says of it that its numbers do not."""
+    text, boxes = device.description, zone_boxes(device.zones)
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    field = np.degrees(np.arctan(high.max(axis=0)) - np.arctan(low.min(axis=0)))
+    mode = rf"in ({' × '.join(map(str, [math.isqrt(device.zones.count)] * 2))}) mode"
+    said: dict[str, tuple[list[float], list[float]]] = {}
+    # Zones, and the dots of a telephone; modes that other chips have are beside the point.
+    if found := re.search(r"(\d+) × (\d+) (zones|dots)", re.sub(mode, "", text)):
+        said[found[0]] = [math.prod(map(float, found.groups()[:2]))], [float(device.zones.count)]
+    if found := re.search(r"(\d+)° × (\d+)°", text):
+        said[found[0]] = [*map(float, found.groups())], [*map(float, field)]
+    elif found := re.search(r"in (\d+)°", text):
+        said[found[0]] = [float(found[1])], [math.hypot(*field)]
+    if found := re.search(r"(\d+) frames a second", text):
+        said[found[0]] = [float(found[1])], [1e6 * device.counting.repetition_rate_mhz / device.counting.cycles]
+    if found := re.search(r"(\d+) nm light", text):
+        said[found[0]] = [float(found[1])], [device.wavelength_nm]
+    if found := re.search(r"gated for ([\d.]+) ns", text):
+        gate = device.counting.gate_ns
+        said[found[0]] = [float(found[1])], [gate[1] if isinstance(gate, tuple) else math.nan]
+    if found := re.search(r"(\d+) × (\d+) pixels.* blocks of (\d+) × (\d+)", text):
+        rows, columns, high_, wide = map(float, found.groups())
+        said[found[0]] = [rows * columns / (high_ * wide)], [float(device.zones.count)]
+    # Fields are those of data sheets, of which fitted zones are up to a seventh more.
+    return [what for what, (one, other) in said.items() if not np.allclose(one, other, rtol=0.15)]
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_a_device_is_what_its_description_says(name: str) -> None:
+    device = dg.device(name)
+    assert device.name == name
+    assert said_otherwise(device) == []
+
+
+def test_a_copy_with_another_name_is_found_out() -> None:
+    """No two devices have the same numbers, and no device has the description of another."""
+    devices = [dg.device(name) for name in device_names()]
+    numbers = [device.model_dump_json(exclude={"name", "description", "sources"}) for device in devices]
+    assert len(set(numbers)) == len({device.description for device in devices}) == len(devices)
+    narrow, wide = dg.device("tmf8820"), dg.device("tmf8820_wide")
+    assert said_otherwise(narrow.model_copy(update={"description": wide.description})) == ["52° × 41°"]
+    zones = dg.device("vl53l8ch_4x4").model_copy(update={"description": dg.device("vl53l8ch").description})
+    assert said_otherwise(zones) == ["8 × 8 zones", "15 frames a second"]
+
+
+def test_pages_have_every_device() -> None:
+    """The README their number, and the table their bins and what its words say."""
+    words = dict(zip(range(8, 17), ("Eight", "Nine", "Ten", "Eleven", "Twelve", "Thirteen", "Fourteen", "Fifteen",
+                                    "Sixteen"), strict=True))  # fmt: skip
+    assert f"{words[len(device_names())]} sensors are in the catalogue" in (ROOT / "README.md").read_text("utf-8")
+    lines = (ROOT / "docs/devices.md").read_text("utf-8").split("## In a configuration")[0].splitlines()
+    rows = [line.split("|") for line in lines if line.startswith("| `")]
+    names = [re.findall(r"`(\w+)`", row[1]) for row in rows]
+    assert sorted(itertools.chain(*names)) == sorted(device_names())
+    for row, of in zip(rows, names, strict=True):
+        devices = [dg.device(name) for name in of]
+        assert {device.time.bins for device in devices} == {int(row[4])}, of
+        # Of a row with two devices each has its part of the words.
+        assert len(of) > 1 or said_otherwise(devices[0].model_copy(update={"description": row[2]})) == []
 
 
 def test_a_measured_map_is_a_footprint(tmp_path: Path) -> None:
