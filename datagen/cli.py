@@ -329,9 +329,9 @@ def show(dataset: str, index: int, out: str | None) -> None:
 def replay(dataset: str, scene: int) -> None:
     """Make scene SCENE of DATASET again, compare it field by field, and name the stage where it first differs."""
     if_ended(CHANGED_NOTHING)
-    from datagen.building.replay import replayed
+    from datagen.building.replay import replay_comparison
 
-    found = replayed(dataset, scene)
+    found = replay_comparison(dataset, scene)
     say(found.text())
     problem = found.problem()
     if problem is not None:

@@ -19,7 +19,7 @@ LOOK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 """How a file is opened that somebody may have locked: opening a pipe in its place does not wait for a writer."""
 
 
-def locked(handle: int, otherwise: bool) -> bool:
+def try_lock(handle: int, otherwise: bool) -> bool:
     """True if this process now has the lock of an open file, until the file is closed or the process ends; False if
     another process has it; `otherwise` where the file system has no locks."""
     try:
@@ -40,7 +40,7 @@ def lock_file(path: Path) -> int | None:
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         try:
-            if not locked(handle, otherwise=True):
+            if not try_lock(handle, otherwise=True):
                 break
             # Whoever had it may have removed it in the meantime.
             if os.fstat(handle).st_nlink > 0:
@@ -95,7 +95,7 @@ def alone_in(folder: Path, patience_s: float = 10.0) -> Iterator[None]:
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         last = time.monotonic() + patience_s
-        while not locked(handle, otherwise=True):
+        while not try_lock(handle, otherwise=True):
             if time.monotonic() > last:
                 raise OSError(errno.EBUSY, "another build is preparing this folder and does not go on", str(folder))
             time.sleep(0.02)

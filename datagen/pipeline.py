@@ -120,7 +120,7 @@ def sample_from(setup: Setup, light: SceneLight) -> Sample:
     """The sample of a scene whose light is known, wherever this comes from: counts, labels and their parameters."""
     counts = counts_of(setup, light)
     arrays, detectability = labels_of(setup, light, counts)
-    arrays |= _measured(setup, light, counts) | _geometry(setup)
+    arrays |= _measured_fields(setup, light, counts) | _geometry(setup)
     return Sample(setup.index, arrays, _parameters(setup, light, counts) | detectability, setup.seconds)
 
 
@@ -494,7 +494,7 @@ def sequence_from(setup: Setup, light: LightOfFrames) -> Sample:
     at_once, frames = light.at_once(), light.frames.frames
     counts = counts_of(setup, at_once)
     arrays, detectability = labels_of_frames(setup, light, counts)
-    for name, values in _measured(setup, at_once, counts).items():
+    for name, values in _measured_fields(setup, at_once, counts).items():
         arrays[name] = values.reshape(frames, -1, *values.shape[1:])
     if "transient" in arrays:
         # Light keeps its sign: what is clipped would be a bias of the changes.
@@ -556,7 +556,7 @@ def labels_of_frames(
 _SAME_IN_FRAMES = {*OF_THE_ROOM, *(of.name for of in LABEL_FIELDS if of.over_frames == "same")}
 
 
-def _measured(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDArray[np.generic]]:
+def _measured_fields(setup: Setup, light: SceneLight, counts: Counts) -> dict[str, NDArray[np.generic]]:
     """Field → counts, or the light that they are drawn from, of those fields that are stored."""
     measured: dict[str, NDArray[np.generic] | None] = {
         "histogram": counts.histogram,

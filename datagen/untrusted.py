@@ -173,13 +173,15 @@ def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator
     Raises as `read_text`, `TooLargeError` for more than `_MOST_OBJECTS`, and `ValueError` for other JSON.
     """
     text, count = read_text(path), 0
-    at = _expected(text, len(b"\xef\xbb\xbf") if text.startswith(b"\xef\xbb\xbf") else 0, b"[", "a list of objects")
+    at = _offset_after(
+        text, len(b"\xef\xbb\xbf") if text.startswith(b"\xef\xbb\xbf") else 0, b"[", "a list of objects"
+    )
     at, more = _item_follows(text, at, b"]")
     while more:
         count += 1
         if count > _MOST_OBJECTS:
             raise TooLargeError(f"{path}: has more than {_MOST_OBJECTS} frames; cut it into smaller files")
-        at = _expected(text, at, b"{", "a list of objects")
+        at = _offset_after(text, at, b"{", "a list of objects")
         found = dict[str, NDArray[Any]]()
         at, inside = _item_follows(text, at, b"}")
         while inside:
@@ -189,7 +191,7 @@ def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator
                 raise ValueError("a key is needed where an object has something else")
             if key in found:
                 raise ValueError(f"{key!r} comes twice in one object")
-            begin, at = _value(text, _expected(text, end, b":", "a key with a value"))
+            begin, at = _value(text, _offset_after(text, end, b":", "a key with a value"))
             if key == named and text[begin : begin + 1] == b'"':
                 found[key] = np.array(json.loads(text[begin:at]))
             elif key in (*wanted, named):
@@ -201,7 +203,7 @@ def read_records(path: Path, wanted: Sequence[str], named: str = "") -> Iterator
         raise ValueError("more follows after its list")
 
 
-def _expected(text: bytearray, at: int, sign: bytes, what: str) -> int:
+def _offset_after(text: bytearray, at: int, sign: bytes, what: str) -> int:
     """The offset after a sign, which must come next; raises `ValueError` with what is needed."""
     at = _after_space(text, at)
     if text[at : at + 1] != sign:

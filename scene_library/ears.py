@@ -18,14 +18,14 @@ def cut_ears(polygon: Floats) -> Ints:
     n = len(polygon)
     before, after, triangles = np.arange(n) - 1, np.arange(n) + 1, np.empty((n, 3), np.int64)
     before[0], after[-1] = n - 1, 0
-    count = _cut(polygon, before, after, np.zeros(n), triangles)
+    count = _cut_ears(polygon, before, after, np.zeros(n), triangles)
     if count < 0:
         raise ValueError("the polygon is not simple: no ear can be cut")
     return triangles[:count]
 
 
 @compiled(allocates=False)
-def _cut(polygon: Floats, before: Ints, after: Ints, ears: Floats, triangles: Ints) -> int:
+def _cut_ears(polygon: Floats, before: Ints, after: Ints, ears: Floats, triangles: Ints) -> int:
     """Number of triangles, which are written to `triangles`; −1 if there is no ear left to cut.
 
     before, after : (n,) number of the neighbours of each corner; the latter is set to −1 once it is cut off. ears :
@@ -105,7 +105,7 @@ def _ear(polygon: Floats, i: int, before: Ints, after: Ints) -> float:
         is_inside = (
             _bend(a, b, other) >= rounding and _bend(b, c, other) >= rounding and _bend(c, a, other) >= rounding
         )
-        if (is_apart and is_inside) or _crossed(c, a, other, polygon[after[k]]):
+        if (is_apart and is_inside) or _crosses(c, a, other, polygon[after[k]]):
             return 0.0
     return float(area / size**2)
 
@@ -116,13 +116,13 @@ def crosses_itself(polygon: Floats) -> bool:
     n = len(polygon)
     for i in range(n - 2):
         for k in range(i + 1, n):
-            if _crossed(polygon[i], polygon[i + 1], polygon[k], polygon[(k + 1) % n]):
+            if _crosses(polygon[i], polygon[i + 1], polygon[k], polygon[(k + 1) % n]):
                 return True
     return False
 
 
 @compiled(allocates=False)
-def _crossed(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
+def _crosses(a: Floats, b: Floats, start: Floats, end: Floats) -> bool:
     """Whether the side from `start` to `end` crosses that from `a` to `b` within both."""
     # Areas below rounding are those of sides that end on one another.
     least = 1e-12 * (_span(a, start) + _span(a, end) + _span(a, b)) ** 2

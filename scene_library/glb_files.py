@@ -114,7 +114,7 @@ class GlbFile:
                 instances.setdefault(key, []).append(self._matrices(node, number))
         if not instances:
             raise self._nothing()
-        whole_surface = _joined([self._mesh(*key).placed(np.concatenate(of)) for key, of in instances.items()])
+        whole_surface = _joined_piece([self._mesh(*key).placed(np.concatenate(of)) for key, of in instances.items()])
         return MeshFile(whole_surface.vertices, whole_surface.faces, "; ".join(self.doubts.values()))
 
     def find_nodes(self) -> None:
@@ -201,7 +201,7 @@ class GlbFile:
 
     def _mesh(self, mesh: int, weights: tuple[float, ...], skin: int | None) -> _Piece:
         """The triangles of a mesh."""
-        return _joined([self._piece(one, weights, skin) for one in self._primitives(mesh) if self._size(one)])
+        return _joined_piece([self._piece(one, weights, skin) for one in self._primitives(mesh) if self._size(one)])
 
     def _piece(self, primitive: Json, weights: tuple[float, ...], skin: Any) -> _Piece:
         """The triangles of a primitive, morph targets and skin applied."""
@@ -328,7 +328,7 @@ def read_glb(path: Path) -> GlbFile:
     return found
 
 
-def _joined(pieces: list[_Piece]) -> _Piece:
+def _joined_piece(pieces: list[_Piece]) -> _Piece:
     """Some pieces as one."""
     sizes = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])
     return _Piece(

@@ -91,7 +91,7 @@ def read_mesh(path: Path) -> MeshFile:
     turned about x until z is up. Raises `BadMesh`."""
     if not os.path.isfile(path):
         raise BadMesh("cannot be read (no such file)")
-    mesh = _read(path, MeshOptions())
+    mesh = _mesh_file_of(path, MeshOptions())
     if not np.isfinite(mesh.vertices).all():
         raise BadMesh("has vertices that are not finite; export it again")
     up = upward_axis(path)
@@ -99,7 +99,7 @@ def read_mesh(path: Path) -> MeshFile:
 
 
 def _unit(path: Path, options: MeshOptions) -> tuple[Solid, str]:
-    mesh = _read(path, options)
+    mesh = _mesh_file_of(path, options)
     vertices, faces = cleaned(mesh.vertices, mesh.triangles)
     _check_steps(vertices)
     if options.max_triangles is not None and len(faces) > options.max_triangles:
@@ -139,7 +139,7 @@ def _check_steps(vertices: Floats) -> None:
         )
 
 
-def _read(path: Path, options: MeshOptions) -> MeshFile:
+def _mesh_file_of(path: Path, options: MeshOptions) -> MeshFile:
     """All triangles of a file, the transforms of its scene graph applied."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -70,13 +70,13 @@ class Faces:
             if count > 3:
                 # What cannot be measured stays a fan, so that the cleaning of the mesh says what is wrong with it.
                 measured = held[np.where((faces >= 0) & (faces < len(self.vertices)), faces, -1)].all(axis=1)
-                plan, heights, convex = _flattened(self.vertices[faces[measured]])
+                plan, heights, convex = _flat_faces(self.vertices[faces[measured]])
                 pairs += int(count) ** 2 * int(np.count_nonzero(~convex))
                 if pairs > MOST_PAIRS:
                     raise BadMesh(
                         f"has too many faces with notches, of up to {count} corners; triangulate it in a mesh editor"
                     )
-                cut = _cut(plan, convex, faces[measured], which[measured])
+                cut = _triangles_of(plan, convex, faces[measured], which[measured])
                 found.append(cut)
                 bent += int(np.count_nonzero(heights > BENT))
                 faces = faces[~measured]
@@ -94,8 +94,8 @@ def _fans(faces: Ints) -> Ints:
     return np.asarray(fans.reshape(-1, 3))
 
 
-def _cut(plan: Floats, convex: NDArray[np.bool_], faces: Ints, numbers: Ints) -> Ints:
-    """Triangles of faces (n, k) of k > 3 corners, as `_flattened` sees them; `numbers` are those of the faces."""
+def _triangles_of(plan: Floats, convex: NDArray[np.bool_], faces: Ints, numbers: Ints) -> Ints:
+    """Triangles of faces (n, k) of k > 3 corners, as `_flat_faces` sees them; `numbers` are those of the faces."""
     from scene_library.ears import crosses_itself
 
     found = [_fans(faces[convex])]
@@ -110,7 +110,7 @@ def _cut(plan: Floats, convex: NDArray[np.bool_], faces: Ints, numbers: Ints) ->
     return np.concatenate(found)
 
 
-def _flattened(corners: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _flat_faces(corners: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Faces (n, k, 3) seen along their mean normal, counter-clockwise (n, k, 2), in units of their size; (n,)
     largest distance of a corner from the mean plane, in the same unit; (n,) whether a fan about any corner covers
     the face."""

@@ -115,10 +115,10 @@ def uneven_wall(start: Lines, end: Lines, height_m: float, relief: Relief, relie
     width_m = float(np.linalg.norm(end - start))
     rim = RIM_SHARE * min(width_m, height_m)
     fade = min(max(2 * relief_m, rim), 0.25 * min(width_m, height_m))
-    across = _framed(relief.across, width_m, rim, fade)
-    up = _framed(relief.up, height_m, rim, fade)
+    across = _lines_with_rims(relief.across, width_m, rim, fade)
+    up = _lines_with_rims(relief.up, height_m, rim, fade)
     u, v = np.meshgrid(across, up, indexing="ij")
-    depth = relief_m * relief.shape(u, v) * _faded(u, width_m, rim, fade) * _faded(v, height_m, rim, fade)
+    depth = relief_m * relief.shape(u, v) * _fade(u, width_m, rim, fade) * _fade(v, height_m, rim, fade)
     corners = np.array([[0.0, 0.0], [width_m, 0.0], [width_m, height_m], [0.0, height_m]])
     flat = np.concatenate([corners, np.stack([u, v], axis=-1).reshape(-1, 2)])
     behind = np.concatenate([np.zeros(4), depth.ravel()])
@@ -143,7 +143,7 @@ def _faces(n: int, m: int) -> NDArray[np.int64]:
     return np.concatenate([inner, *rim]).astype(np.int64)
 
 
-def _framed(lines: Lines, length_m: float, rim_m: float, fade_m: float) -> Lines:
+def _lines_with_rims(lines: Lines, length_m: float, rim_m: float, fade_m: float) -> Lines:
     """Grid lines from rim to rim, with those of the shape and some across each fade."""
     steps = rim_m + fade_m * np.linspace(0, 1, _FADE_LINES)
     steps = np.concatenate([steps, length_m - steps])
@@ -153,7 +153,7 @@ def _framed(lines: Lines, length_m: float, rim_m: float, fade_m: float) -> Lines
     return np.sort(np.concatenate([inside[apart], steps]))
 
 
-def _faded(position: Floats, length_m: float, rim_m: float, fade_m: float) -> Floats:
+def _fade(position: Floats, length_m: float, rim_m: float, fade_m: float) -> Floats:
     """0 at the rim, 1 beyond the fade, smooth between."""
     inward = np.minimum(position, length_m - position)
     t = np.clip((inward - rim_m) / fade_m, 0.0, 1.0)

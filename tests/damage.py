@@ -19,7 +19,7 @@ from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.records import Sample
 from datagen.store import reader, schema_of
-from datagen.store.files import sealed
+from datagen.store.files import sealed_bytes
 
 FIELDS = ("histogram", "depth", "object_class", "laser_points")
 COLUMNS = ("scene", "failure", "width_m", "kind")
@@ -55,7 +55,7 @@ def reseal(path: Path, change: Callable[[Any], object]) -> None:
     values = json.loads(path.read_text())
     del values["checksum"]
     change(values)
-    path.write_bytes(sealed(values))
+    path.write_bytes(sealed_bytes(values))
 
 
 def files_of(root: Path) -> list[Path]:
@@ -138,7 +138,7 @@ def restated(root: Path, name: Path, place: int, value: Any, remade: bool) -> Ch
     *way, last = _places(stated)[place % len(_places(stated))]
     parent = functools.reduce(lambda within, key: within[key], way, stated)
     parent[last] = copy.deepcopy(value)
-    made = sealed(stated) if remade and had_checksum else json.dumps(stated, indent=2).encode()
+    made = sealed_bytes(stated) if remade and had_checksum else json.dumps(stated, indent=2).encode()
     return {path: made} if made.strip() != path.read_bytes().strip() else None
 
 

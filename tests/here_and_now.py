@@ -38,7 +38,7 @@ def jobs_go_to(engine: Any) -> Iterator[None]:
     from datagen.building import build
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "started", lambda *_: nullcontext(engine))
+        patch.setattr(build, "running_engine", lambda *_: nullcontext(engine))
         yield
 
 
@@ -53,10 +53,10 @@ def one_worker_here() -> Iterator[None]:
         if engine == "local" and workers == 1:
             yield HereAndNow()
         else:
-            with engines.started(engine, workers, scheduler) as running:
+            with engines.running_engine(engine, workers, scheduler) as running:
                 yield running
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (build, replay, resimulate):
-            patch.setattr(module, "started", started)
+            patch.setattr(module, "running_engine", started)
         yield

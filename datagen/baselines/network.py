@@ -51,7 +51,7 @@ class Normalized(torch.nn.Module):
         return torch.as_tensor(self.network((torch.log1p(counts) - self.mean) / self.spread))
 
 
-def predicted(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
+def predictions_of(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: int) -> dict[str, NDArray[Any]]:
     """`depth`, `mask` and `occupancy` of the scenes `wanted`, from three networks that are trained in the same way.
 
     The first learns depth minus its mean over the training scenes, at pixels of objects only; the others learn the
@@ -59,18 +59,18 @@ def predicted(train: SuiteScenes, val: SuiteScenes, wanted: SuiteScenes, seed: i
     val is taken.
     """
     mean = float(train.depth[train.mask].mean())
-    depth = _trained(train, val, lambda scenes: (scenes.depth - mean, scenes.mask), seed)
+    depth = _trained_network(train, val, lambda scenes: (scenes.depth - mean, scenes.mask), seed)
     found: dict[str, NDArray[Any]] = {
-        "depth": np.maximum(mean + _applied(depth, wanted.histogram), 0.0).reshape(wanted.depth.shape)
+        "depth": np.maximum(mean + _outputs(depth, wanted.histogram), 0.0).reshape(wanted.depth.shape)
     }
     for name in ("mask", "occupancy"):
-        model = _trained(train, val, lambda scenes, name=name: (getattr(scenes, name), None), seed)  # type: ignore[misc]
-        least = best_threshold(_applied(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
-        found[name] = (_applied(model, wanted.histogram) > least).reshape(getattr(wanted, name).shape)
+        model = _trained_network(train, val, lambda scenes, name=name: (getattr(scenes, name), None), seed)  # type: ignore[misc]
+        least = best_threshold(_outputs(model, val.histogram), getattr(val, name).reshape(len(val.scene), -1))
+        found[name] = (_outputs(model, wanted.histogram) > least).reshape(getattr(wanted, name).shape)
     return found
 
 
-def _trained(
+def _trained_network(
     train: SuiteScenes, val: SuiteScenes, due: Callable[[SuiteScenes], tuple[NDArray[Any], Bools | None]], seed: int
 ) -> Normalized:
     """A trained network.
@@ -110,7 +110,7 @@ def _loss(out: torch.Tensor, due: torch.Tensor, weight: torch.Tensor | None) -> 
     return (weight * (out - due) ** 2).sum() / weight.sum().clamp(min=1)
 
 
-def _applied(model: Normalized, histogram: NDArray[np.float32]) -> Floats:
+def _outputs(model: Normalized, histogram: NDArray[np.float32]) -> Floats:
     with torch.no_grad():
         return np.asarray(model(torch.from_numpy(histogram)).double().numpy())
 

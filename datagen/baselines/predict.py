@@ -82,9 +82,9 @@ def backprojection(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predic
 
 def network(train: SuiteScenes, wanted: SuiteScenes, seed: int) -> Predicted:
     """Predictions by a small network that is trained on the suite's own training scenes."""
-    from datagen.baselines.network import predicted
+    from datagen.baselines.network import predictions_of
 
-    found = predicted(train, suite_scenes(train.root, "val"), wanted, seed)
+    found = predictions_of(train, suite_scenes(train.root, "val"), wanted, seed)
     return found | {"centers": centers_of(found["depth"], found["mask"], wanted.view, _objects(train))}
 
 

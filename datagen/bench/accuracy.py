@@ -63,7 +63,7 @@ def fewer_laser_points(capture: Capture, most: int | None) -> Capture:
     return capture.excerpt(np.unique(np.round((np.arange(most) + 0.5) * count / most - 0.5).astype(int)))
 
 
-def measured(
+def accuracy_report(
     config: DatasetConfig, scene: int, laser_points: int | None, seconds: float, repeats: int
 ) -> tuple[str, list[Row]]:
     """The report of a scene in Markdown, and its rows, made in about `seconds` processor seconds.
@@ -201,7 +201,7 @@ def main(config: str, out: Path | None, scene: int, laser_points: int | None, se
         raise InputError(f"--scene {scene}: {loaded.name} has the scenes 0 … {loaded.scenes - 1}")
     if out is not None:
         check_writable(out)
-    text, rows = measured(loaded, scene, laser_points, seconds, repeats)
+    text, rows = accuracy_report(loaded, scene, laser_points, seconds, repeats)
     click.echo(text)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)

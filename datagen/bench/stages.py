@@ -21,7 +21,7 @@ from datagen.config import DatasetConfig, load_config
 from datagen.config.scans import GridScan
 from datagen.errors import InputError
 from datagen.pipeline import simulate_sample
-from datagen.store import ShardRecord, committed, prepare, read_manifest, schema_of, write_shard
+from datagen.store import ShardRecord, committed_records, prepare, read_manifest, schema_of, write_shard
 from datagen.store.columns import Columns
 from datagen.store.description import seconds_of
 from datagen.store.info import STAGES, seconds_by_stage
@@ -47,7 +47,7 @@ def records_of_build(config: DatasetConfig, workers: int, scenes: int) -> list[S
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "set"
         build(config.with_scenes(scenes).model_copy(update={"store": store}), root, workers, progress=False)
-        return sorted(committed(root, read_manifest(root)), key=lambda record: record.finished)
+        return sorted(committed_records(root, read_manifest(root)), key=lambda record: record.finished)
 
 
 def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
@@ -57,7 +57,7 @@ def scenes_per_second(records: Sequence[ShardRecord], workers: int) -> float:
     return sum(len(record.scenes) for record in after) / (after[-1].finished - warm)
 
 
-def scanned(config: DatasetConfig, scan: str) -> DatasetConfig:
+def with_scan(config: DatasetConfig, scan: str) -> DatasetConfig:
     """The configuration with another number of laser points and bins.
 
     scan : rows, columns and bins, such as 64x64x512.
@@ -113,7 +113,7 @@ def a_million(config: DatasetConfig, seconds: Sequence[float]) -> str:
 @click.option("--million", is_flag=True, help="Say instead what a million scenes would take, by --scenes of them.")
 def main(config: str, scenes: int, workers: str, scan: str | None, million: bool) -> None:
     """Print seconds per scene by stage, and scenes per second, for CONFIG; or what a million scenes would take."""
-    loaded = load_config(config) if scan is None else scanned(load_config(config), scan)
+    loaded = load_config(config) if scan is None else with_scan(load_config(config), scan)
     if million:
         what = f"{scan}, " if scan else ""
         click.echo(f"{what}{a_million(loaded, processor_seconds_of_scenes(loaded, scenes))}; {machine()}")

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen import store
-from datagen.building.engines import Engine, check_engine, start_imports, started
+from datagen.building.engines import Engine, check_engine, running_engine, start_imports
 from datagen.building.jobs import TICK_S, Jobs
 from datagen.building.progress import Progress
 from datagen.building.shard_job import LONGEST_SCENE_S, Recipe, SampleFunction, scenes_missing
@@ -27,7 +27,7 @@ from datagen.design.exposure import with_exposure_found
 from datagen.errors import CheckError, InputError
 from datagen.records.checks import as_given, check_callable, check_flag, check_kind, check_path, numbers_of
 from datagen.store import upload
-from datagen.store.environment import made_with, mixed
+from datagen.store.environment import environment_differences, made_with
 from datagen.store.location import Bucket
 from datagen.store.manifest import MANIFEST, DamagedManifest
 from datagen.store.summaries import clipped_lines, missed_lines, placed_anew_lines
@@ -142,7 +142,7 @@ def build(
         is_new = store.is_fresh(root)
         config = _with_exposure(root, config)
         with _first_there(root, is_new):
-            plan = store.planned(root, config)
+            plan = store.planned_manifest(root, config)
         for folder in store.build_folders(root, plan):
             store.check_writable(folder)
         wanted = parse_shards(shards, plan.schema.shards)
@@ -160,7 +160,7 @@ def build(
         if input_check is not None:
             input_check(config)
         try:
-            with started(engine, workers, scheduler) as running:
+            with running_engine(engine, workers, scheduler) as running:
                 if is_simulated and first_use():
                     _compile(running, workers, sample_function, config, shown)
                 with _first_there(root, is_new):
@@ -282,7 +282,7 @@ def _check_arguments(config: object, path: object, scene_seconds: float | None, 
 
 def _check_unmixed(root: Path, record: store.ShardRecord) -> None:
     """Refuse to resume if a shard was made with versions, or on an architecture, that may give other bytes."""
-    for difference in mixed([record.made_by, made_with()]):
+    for difference in environment_differences([record.made_by, made_with()]):
         raise InputError(
             f"output {root}: shard {record.shard} and this machine differ in {difference}; the same bytes are "
             "promised for the same versions (constraints.txt) on the same kind of processor: use those, "

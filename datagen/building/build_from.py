@@ -90,7 +90,7 @@ def build_from(
         check_kind("settings", settings, Mapping, remedy="sections of a configuration")
     if fields is not None:
         fields = as_names("fields", fields, "such as ('histogram', 'depth')")
-    given = [_given(number, item, capture) for number, item in enumerate(scenes)]
+    given = [_checked_item(number, item, capture) for number, item in enumerate(scenes)]
     if not given:
         raise InputError("scenes: none given; a dataset needs at least one")
     config = _config(given, fields, seed, dict(settings or {}))
@@ -169,7 +169,7 @@ def _imported_light(setup: Setup, transient: Floats) -> SceneLight:
     return SceneLight(Transient(setup.capture.time, {"given": transient}, {}, unknown, nothing, lit))
 
 
-def _given(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
+def _checked_item(number: int, item: object, capture: Capture | Callable[[Scene], Capture] | None) -> Given:
     """The input of sample `number`, from an item of `scenes`, after checks."""
     parts: Any = item if isinstance(item, tuple) else (item,)
     scene, own, last = (*parts, None, None)[:3] if 1 <= len(parts) <= 3 else (item, None, None)

@@ -22,7 +22,7 @@ from datagen.records.agreement import (
     same_parameter,
     same_to_rounding,
 )
-from datagen.store.environment import made_with, mixed
+from datagen.store.environment import environment_differences, made_with
 from datagen.store.reader import DatasetReader
 from datagen.store.record import SceneRecord, ShardRecord
 from datagen.store.scenes import Scenes
@@ -125,7 +125,7 @@ class Comparison:
         if self.differing:
             names = ", ".join(row.name for row in self.differing if row.stage == self.first)
             before = [stage.name for stage in STAGES][: [stage.name for stage in STAGES].index(str(self.first))]
-            same = f"; {_listed(before)} before it {'are' if len(before) > 1 else 'is'} the same" if before else ""
+            same = f"; {_name_list(before)} before it {'are' if len(before) > 1 else 'is'} the same" if before else ""
             found.append(f"the first stage that differs is {self.first} ({names}){same}")
         if self.damaged:
             names = ", ".join(row.name for row in self.damaged)
@@ -209,7 +209,7 @@ _TRIES = ("draws", "attempts", "evidence.placed_anew")
 def compare(scenes: Scenes, shard: ShardRecord, stored: SceneRecord, again: Again) -> Comparison:
     """What is stored of a scene, compared with the scene made again. Damaged values are told, not raised."""
     manifest = scenes.manifest
-    elsewhere = tuple(mixed([shard.made_by, made_with()], also=("processor",)))
+    elsewhere = tuple(environment_differences([shard.made_by, made_with()], also=("processor",)))
     rows: tuple[Row, ...] = ()
     if stored.failure is None and again.record.failure is None:
         reader = DatasetReader(scenes.root, manifest, manifest.schema.by_name, check=False)
@@ -324,7 +324,9 @@ class _Judge:
             # Another version may record other things.
             both = [name for name in others if name in made and name in kept]
             agrees = all(self._parameter_agrees(stage, name, made[name], kept[name], sound) for name in both)
-            said = [f"{name} {_said(made.get(name))}, stored {_said(kept.get(name))}" for name in both or others]
+            said = [
+                f"{name} {_as_text(made.get(name))}, stored {_as_text(kept.get(name))}" for name in both or others
+            ]
             more = f"; and {len(others) - SHOWN_NAMES} more" if len(others) > SHOWN_NAMES else ""
             words = f"{len(others)} of {len(names)}: {'; '.join(said[:SHOWN_NAMES])}{more}"
             row = self._with_verdict(row, agrees, words)
@@ -358,7 +360,7 @@ def _equal(made: Scalar | None, kept: Scalar | None) -> bool:
     return made == kept or (made != made and kept != kept)
 
 
-def _said(value: Scalar | None) -> str:
+def _as_text(value: Scalar | None) -> str:
     return "none" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
@@ -394,9 +396,9 @@ def _differ(made: NDArray[Any], kept: NDArray[Any]) -> str:
     off = np.where(same, 0.0, np.where(np.isnan(off), np.inf, off))
     where = np.unravel_index(int(np.argmax(off)), off.shape)
     place = f" at ({', '.join(map(str, map(int, where)))})" if off.ndim else ""
-    numbers = f"{_said(made[where].item())}, stored {_said(kept[where].item())}"
+    numbers = f"{_as_text(made[where].item())}, stored {_as_text(kept[where].item())}"
     return f"{int((~same).sum())} of {same.size} values, most by {off[where]:.3g}{place}: {numbers}"
 
 
-def _listed(names: Sequence[str]) -> str:
+def _name_list(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

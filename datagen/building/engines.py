@@ -370,7 +370,7 @@ def check_engine(engine: str, workers: int, scheduler: str | None) -> None:
 
 
 @contextmanager
-def started(engine: str, workers: int, scheduler: str | None) -> Iterator[Engine]:
+def running_engine(engine: str, workers: int, scheduler: str | None) -> Iterator[Engine]:
     """The engine, which is closed at the end of the block; an exception in the block kills busy workers."""
     running: Engine = LocalProcesses(workers) if engine == "local" else DaskCluster(workers, scheduler)
     try:

@@ -49,7 +49,7 @@ def check_inputs(config: DatasetConfig) -> None:
         # Labels come last in a scene: without this the light of all scenes would be made in vain.
         open3d_for_labels()
     most = LIT_SCENES_TRIED if config.scene.asks_for_evidence else SCENES_TRIED
-    tried = [_tried(config, index) for index in range(min(config.scenes, most))]
+    tried = [_scene_and_capture(config, index) for index in range(min(config.scenes, most))]
     if config.clock is not None:
         for index, (_, capture) in enumerate(tried):
             FrameTimes.of(config.clock, capture, *detector_for(config.detector, config.seed, index, capture.time))
@@ -121,7 +121,7 @@ def _too_late(config: DatasetConfig, tried: Sequence[tuple[Scene, Capture]]) -> 
         )
 
 
-def _tried(config: DatasetConfig, index: int) -> tuple[Scene, Capture]:
+def _scene_and_capture(config: DatasetConfig, index: int) -> tuple[Scene, Capture]:
     """Scene `index`, generated without light, and its capture; an `InputError` names any scene but the first."""
     scene = scene_for(config, index)
     try:

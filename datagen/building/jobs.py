@@ -28,7 +28,7 @@ from datagen.errors import CheckError
 from datagen.locks import PULSE_S, give_sign, holder_of, lock_file, sign_of_life
 from datagen.records.checks import as_given
 from datagen.store import upload
-from datagen.store.environment import mixed
+from datagen.store.environment import environment_differences
 
 DEATHS_ALLOWED = 2
 """Worker processes that may die while they make the same scene before the build gives that scene up. One may die for
@@ -194,7 +194,7 @@ class Jobs:
             return False
         self.locks[shard] = handle
         self.held.pop(shard, None)
-        record = next(iter(store.committed(root, manifest, [shard], hashes=True)), None)
+        record = next(iter(store.committed_records(root, manifest, [shard], hashes=True)), None)
         # A shard of which scenes failed before this build began is one to be mended.
         is_made = record is not None and not (record.failures and record.finished <= self.began)
         if is_made:
@@ -213,7 +213,9 @@ class Jobs:
 
     def _take_from_others(self, record: store.ShardRecord) -> None:
         """A shard that another build has made is there. Raises `CheckError` if it was made with other versions."""
-        for difference in [] if self.recipe.made_with is None else mixed([self.recipe.made_with, record.made_by]):
+        for difference in (
+            [] if self.recipe.made_with is None else environment_differences([self.recipe.made_with, record.made_by])
+        ):
             raise CheckError(
                 f"another build has made shard {record.shard} meanwhile, and differs in {difference}; use the same "
                 f"there, or build with {as_given('accept_mixed', True)}"
@@ -281,7 +283,7 @@ class Jobs:
         """A shard is committed. Raises `CheckError` if no scene of the build could be made so far."""
         self.deaths_between = 0
         of = self.recipe
-        for record in store.committed(of.root, of.manifest, [shard]) if self.output.bucket else ():
+        for record in store.committed_records(of.root, of.manifest, [shard]) if self.output.bucket else ():
             self.output.put_shard(record, of.manifest)
         self.known.pop(shard, None)
         self.started.pop(shard, None)

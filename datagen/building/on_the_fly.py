@@ -16,7 +16,7 @@ from datagen.loader.ranks import number_of_ranks, rank_of_process
 from datagen.pipeline import simulate_sample
 from datagen.records.checks import as_names, check_integer, check_kind
 from datagen.store import schema_of
-from datagen.store.shard import encoded
+from datagen.store.shard import encoded_value
 from datagen.store.stats import COUNTS
 
 
@@ -102,7 +102,7 @@ class GeneratedDataset(IterableDataset[dict[str, torch.Tensor]]):
         """The item of a scene."""
         check_integer("GeneratedDataset", "scene", scene, 0, 2**62)
         sample = simulate_sample(self._config, scene)
-        values = {name: encoded(field, sample.arrays[name]) for name, field in self._fields.items()}
+        values = {name: encoded_value(field, sample.arrays[name]) for name, field in self._fields.items()}
         values |= {name: values[name].astype(np.float32) for name in COUNTS if name in values}
         item = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in values.items()}
         return item | {"scene": torch.tensor(scene)}

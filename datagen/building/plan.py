@@ -105,7 +105,7 @@ def plan_build(config: DatasetConfig, workers: int = 1, seconds: float = SECONDS
         raise InputError(f"{as_given('seconds', seconds)}: must be > 0, such as {SECONDS:g}")
     config = with_exposure_found(config)
     check_inputs(config)
-    return planned(config, simulated_scenes(config, seconds), workers, cores())
+    return plan_of(config, simulated_scenes(config, seconds), workers, cores())
 
 
 def simulated_scenes(config: DatasetConfig, seconds: float) -> Pilots:
@@ -125,10 +125,10 @@ def simulated_scenes(config: DatasetConfig, seconds: float) -> Pilots:
         busy = (time.process_time() - begun_s) / (time.perf_counter() - begun)
         taken.append({stage: busy * stage_s for stage, stage_s in sample.seconds.items()})
         made.append((index, sample))
-    return _written(config, made, taken)
+    return _pilots_written(config, made, taken)
 
 
-def _written(
+def _pilots_written(
     config: DatasetConfig, made: Sequence[tuple[int, Sample | str]], taken: Sequence[Mapping[str, float]]
 ) -> Pilots:
     """The pilots whose samples or reasons for failures are given, written in shards as by the build."""
@@ -156,7 +156,7 @@ def _written(
     return Pilots(tuple({**stages, "store": store_s} for stages in taken), parameters, stored, failed)
 
 
-def planned(config: DatasetConfig, pilots: Pilots, workers: int, machine_cores: int) -> Plan:
+def plan_of(config: DatasetConfig, pilots: Pilots, workers: int, machine_cores: int) -> Plan:
     """The plan that follows from pilots: each worker makes its share of the scenes one after another, and workers
     beyond the number of cores share these."""
     schema = schema_of(config)

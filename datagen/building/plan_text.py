@@ -47,7 +47,7 @@ def plan_text(config: DatasetConfig, found: Plan) -> str:
     """The plan as text: what is configured, a scene's cost and what it shows, the cost of the whole build."""
     blocks = [
         heading(config.name, config.description),
-        _configured(config),
+        _config_lines(config),
         _one_scene(config, found),
         _whole_build(found),
         _fields(config, found),
@@ -55,7 +55,7 @@ def plan_text(config: DatasetConfig, found: Plan) -> str:
     return "\n\n".join("\n".join(map(as_line, block)) for block in blocks)
 
 
-def _configured(config: DatasetConfig) -> Iterator[str]:
+def _config_lines(config: DatasetConfig) -> Iterator[str]:
     """Lines on the scenes, the capture, the transport and the detector."""
     lasers, pixels, bins = config.histogram_shape
     accuracy = config.transport.accuracy()
@@ -90,7 +90,7 @@ def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
         yield f"  scene {scene} cannot be made: {reason}"
     stages = sorted(found.seconds.items(), key=lambda item: -item[1])
     longest = ", ".join(f"{stage} {_digits(taken)}" for stage, taken in stages if taken >= 0.02 * found.scene_s[1])
-    yield f"  time       {_ranged(found.scene_s, duration)} of one core: {longest}"
+    yield f"  time       {_mean_and_range(found.scene_s, duration)} of one core: {longest}"
     yield f"  disk       {_size(found.scene_bytes)}; {readable(schema_of(config).bytes_per_scene)} decoded"
     for line in missed_lines(Columns(found.pilots.parameters)):
         yield f"  window     {line}"
@@ -99,7 +99,8 @@ def _one_scene(config: DatasetConfig, found: Plan) -> Iterator[str]:
     elif math.isnan(found.error[1]):
         yield "  error      not known: of a single sample nothing tells it; set transport.samples to 2 or more"
     else:
-        yield f"  error      {_ranged(found.error, _percent)} of a transient (relative L2), claimed by the simulation"
+        error = _mean_and_range(found.error, _percent)
+        yield f"  error      {error} of a transient (relative L2), claimed by the simulation"
     of = found.pilots.parameters[0]
     yield (
         f"  detector   PDE {of['detector.pde']:.3g}, {of['exposure.cycles']} cycles at "
@@ -157,7 +158,7 @@ def duration(seconds: float) -> str:
     return f"{_digits(seconds)} s"
 
 
-def _ranged(values: Range, text: Callable[[float], str]) -> str:
+def _mean_and_range(values: Range, text: Callable[[float], str]) -> str:
     """A mean, with the range in parentheses if it is wide enough to show."""
     least, mean, most = map(text, values)
     return mean if least == most else f"{mean} ({least} … {most})"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.building.comparison import Again, Comparison, compare
-from datagen.building.engines import Engine, WorkerDied, started
+from datagen.building.engines import Engine, WorkerDied, running_engine
 from datagen.building.shard_job import attempt
 from datagen.config import DatasetConfig
 from datagen.config.scene_layouts import NoLayout
@@ -18,7 +18,7 @@ from datagen.records import Sample
 from datagen.store import Manifest, Schema, schema_of
 from datagen.store.location import Location
 from datagen.store.scenes import Scenes
-from datagen.store.shard import encoded, record_of
+from datagen.store.shard import encoded_value, record_of
 
 
 def replay(path: str | Path, scene: int) -> Sample:
@@ -66,11 +66,11 @@ def replay(path: str | Path, scene: int) -> Sample:
     scenes.record(scene)
     config = _with_transient(config)
     sample = simulate_sample(config, int(scene))
-    arrays = {field.name: encoded(field, sample.arrays[field.name]) for field in schema_of(config).fields}
+    arrays = {field.name: encoded_value(field, sample.arrays[field.name]) for field in schema_of(config).fields}
     return Sample(sample.index, arrays, sample.parameters, sample.seconds)
 
 
-def replayed(path: str | Location, index: int) -> Comparison:
+def replay_comparison(path: str | Location, index: int) -> Comparison:
     """Scene `index` of a dataset compared with itself made again, in a worker process with one thread as in a build.
 
     Raises `InputError` and `CheckError` as `replay` does, but for a scene that can be made now or could be then.
@@ -78,12 +78,12 @@ def replayed(path: str | Location, index: int) -> Comparison:
     scenes = Scenes(path)
     config = config_to_replay(scenes.root, scenes.manifest)
     scenes.record(index, "SCENE")
-    with started("local", 1, None) as running:
+    with running_engine("local", 1, None) as running:
         return replayed_by(running, scenes, config, index)
 
 
 def replayed_by(running: Engine, scenes: Scenes, config: DatasetConfig, index: int) -> Comparison:
-    """As `replayed`, by a worker of `running`. config : that of `config_to_replay`."""
+    """As `replay_comparison`, by a worker of `running`. config : that of `config_to_replay`."""
     shard, stored = scenes.record(index)
     try:
         again = running.submit(make_again, config, scenes.manifest.schema, index).result()

@@ -6,7 +6,7 @@ import random
 
 from datagen._version import __version__
 from datagen.building.comparison import Comparison
-from datagen.building.engines import started
+from datagen.building.engines import running_engine
 from datagen.building.replay import config_to_replay, replayed_by
 from datagen.errors import CheckError, InputError
 from datagen.store.location import Location
@@ -40,7 +40,7 @@ def resimulate(path: str | Location, scenes: int) -> tuple[list[int], list[str]]
         raise CheckError(f"{stored.root}: no scene is there to be simulated again; build it first")
     chosen = sorted(random.SystemRandom().sample(made, min(scenes, len(made))))
     # In a worker with one thread, as in a build: several threads could add numbers up in another order.
-    with started("local", 1, None) as running:
+    with running_engine("local", 1, None) as running:
         found = [replayed_by(running, stored, config, index) for index in chosen]
     return chosen, [line for comparison in found for line in _problems(comparison)]
 

@@ -24,13 +24,13 @@ from datagen.store import (
     DatasetReader,
     Manifest,
     ShardRecord,
-    committed,
+    committed_records,
     discard_shard,
     each_committed,
     running_path,
     write_shard,
 )
-from datagen.store.environment import joined, made_with, mixed
+from datagen.store.environment import environment_differences, joined_environment, made_with
 from datagen.store.record import GROWTH
 
 GRACE_S = 10.0
@@ -103,7 +103,7 @@ def run_shard(
     path = running_path(root, shard)
     _check_environment(recipe)
     with _sole_writer(path, LOCK_PATIENCE_S):
-        record = next(iter(committed(root, manifest, [shard], hashes=True)), None)
+        record = next(iter(committed_records(root, manifest, [shard], hashes=True)), None)
         # A record that is newer than the job was committed by another build, or by this job before its result got
         # lost.
         if record is None or (record.failures and record.finished <= submitted):
@@ -111,7 +111,10 @@ def run_shard(
             made_by = made_with()
             begun = next(each_committed(root, manifest, [shard], hashes=True, partly=True), None)
             if begun is not None:
-                samples, made_by = _with_missing_made(recipe, begun, known), joined(begun.made_by, made_by)
+                samples, made_by = (
+                    _with_missing_made(recipe, begun, known),
+                    joined_environment(begun.made_by, made_by),
+                )
             if samples is not None:
                 home = recipe.home(shard)
                 record = write_shard(home, manifest.schema, shard, manifest.fingerprint, samples, made_by, started)
@@ -122,7 +125,7 @@ def run_shard(
 
 def _check_environment(recipe: Recipe) -> None:
     """Raise `CheckError` if the environment of this worker may give other bytes than that of the other shards."""
-    differing = [] if recipe.made_with is None else mixed([recipe.made_with, made_with()])
+    differing = [] if recipe.made_with is None else environment_differences([recipe.made_with, made_with()])
     if differing:
         raise CheckError(
             f"a worker differs in {differing[0]}; use the same there, or build with {as_given('accept_mixed', True)}"
@@ -159,7 +162,7 @@ def abandon_shard(recipe: Recipe, shard: int) -> None:
     has locked the shard."""
     path = running_path(recipe.root, shard)
     with suppress(CheckError), _sole_writer(path, patience_s=0.0):
-        if not committed(recipe.root, recipe.manifest, [shard]):
+        if not committed_records(recipe.root, recipe.manifest, [shard]):
             discard_shard(recipe.home(shard), recipe.manifest.schema, shard)
         path.unlink(missing_ok=True)
 
@@ -182,7 +185,7 @@ def attempt(
     reason = ""
     for _ in range(2):
         try:
-            with limited(seconds):
+            with time_limit(seconds):
                 return sample_function(config, index)
         except (InputError, Overtime) as error:
             return str(error)
@@ -232,7 +235,7 @@ def overtime(seconds: float) -> str:
 
 
 @contextmanager
-def limited(seconds: float | None) -> Iterator[None]:
+def time_limit(seconds: float | None) -> Iterator[None]:
     """Raise `Overtime` if the block takes longer than `seconds` (None: no limit). If no exception can reach the
     block, such as in compiled code that never returns, this process ends. In other threads than the main one there is
     no limit."""

@@ -84,7 +84,7 @@ def footprints(zones: Zones) -> tuple[Floats, Floats | None]:
     """Corners (P, 4, 2) of each zone in tangents, and its sensitivity over them (P, R, C), None if it is even."""
     boxes, weights = zone_boxes(zones), np.array(zones.weights) if zones.weights else None
     if zones.blur > 0:
-        boxes, weights = _blurred(boxes, zones.blur)
+        boxes, weights = _blurred_footprints(boxes, zones.blur)
     if zones.gains:
         weights = np.ones((len(boxes), 1, 1)) if weights is None else weights
         weights = weights * np.array(zones.gains)[:, None, None]
@@ -94,7 +94,7 @@ def footprints(zones: Zones) -> tuple[Floats, Floats | None]:
     return np.stack([np.stack(corner, axis=-1) for corner in corners], axis=1), weights
 
 
-def _blurred(boxes: Floats, blur: float) -> tuple[Floats, Floats]:
+def _blurred_footprints(boxes: Floats, blur: float) -> tuple[Floats, Floats]:
     """Boxes (P, 4) with room for the blur, and the sensitivity of each over them (P, R, C).
 
     A box convolved with a Gaussian is, along each side, Φ((x − low)/σ) − Φ((x − high)/σ).

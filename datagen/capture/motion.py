@@ -48,10 +48,10 @@ class SensorWay:
 
     def captures(self, capture: Capture, times_s: Floats) -> tuple[Capture, ...]:
         """The capture at each of some times (n,), from that of the sensor as it stands."""
-        return tuple(moved(capture, *pose) for pose in zip(*self.at(times_s), strict=True))
+        return tuple(moved_capture(capture, *pose) for pose in zip(*self.at(times_s), strict=True))
 
 
-def moved(capture: Capture, shift_m: Floats, turn_rad: Floats) -> Capture:
+def moved_capture(capture: Capture, shift_m: Floats, turn_rad: Floats) -> Capture:
     """A capture after a turn of laser and sensor about the sensor's place by a rotation vector (3,), and a shift
     (3,); the same one if both are 0."""
     if not shift_m.any() and not turn_rad.any():
@@ -226,8 +226,8 @@ class _Laws:
         """Which law a way breaks first, as a clause; None if it keeps to all."""
         times = self._times(way)
         # One by one: most ways that break a law do so soon.
-        captures = (moved(self.standing, *pose) for pose in zip(*way.at(times), strict=True))
-        first = moved(self.standing, *(of[0] for of in way.at(times[:1])))
+        captures = (moved_capture(self.standing, *pose) for pose in zip(*way.at(times), strict=True))
+        first = moved_capture(self.standing, *(of[0] for of in way.at(times[:1])))
         hidden, before = self._hidden_objects(first), self.standing
         if isinstance(self.motion, SensorPoints) and first is not self.standing:
             before = first

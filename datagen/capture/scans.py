@@ -25,7 +25,7 @@ def scan_targets(scan: AnyScan, wall: Rectangle, rng: np.random.Generator) -> Fl
     """
     match scan:
         case PointsScan():
-            return np.array([_listed(f"scan.points_m[{i}]", p, wall) for i, p in enumerate(scan.points_m)])
+            return np.array([_listed_place(f"scan.points_m[{i}]", p, wall) for i, p in enumerate(scan.points_m)])
         case CircleScan():
             return _circle(scan, wall)
         case ImportedScan():
@@ -101,7 +101,7 @@ def _circle(scan: CircleScan, wall: Rectangle) -> Floats:
     return np.stack([_at(wall, *(middle + radius * np.array([np.cos(a), np.sin(a)]))) for a in angle])
 
 
-def _listed(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
+def _listed_place(key: str, place: Sequence[float], wall: Rectangle) -> Floats:
     """(3,) a listed place: a point (x, y, z) of the room as it is, or (right, up) on the visible wall."""
     if len(place) == 3:
         return np.asarray(place, np.float64)

@@ -67,11 +67,11 @@ def _check_number(path: Path, number: int) -> None:
         raise TooLargeError(f"{path}: {number} values; at most {MOST_EDGES} edges are read; keep the pixels needed")
 
 
-def _measured(value: Any, info: ValidationInfo) -> Any:
+def _edges_of(value: Any, info: ValidationInfo) -> Any:
     """Edges of a file's path or of numbers, which a dataset stores."""
     if isinstance(value, str):
         return read_tdc_edges(named_file(info, value))
     return tuple(tuple(row) for row in as_tdc_edges("edges", value).tolist())
 
 
-MeasuredEdges = Annotated[Edges, BeforeValidator(_measured, json_schema_input_type=str | Edges | tuple[float, ...])]
+MeasuredEdges = Annotated[Edges, BeforeValidator(_edges_of, json_schema_input_type=str | Edges | tuple[float, ...])]

@@ -96,13 +96,13 @@ def with_exposure_found(config: DatasetConfig) -> DatasetConfig:
         raise InputError("detector.exposure_for: only for scenes that are drawn; set cycles for those that are given")
     pilots = list(_pilots(config, request))
     if not pilots:
-        raise _refused(request, f"none of the first {PILOTS} scenes has an object; add some to scene.contents")
+        raise _refusal(request, f"none of the first {PILOTS} scenes has an object; add some to scene.contents")
     cycles = _enough_cycles(request, pilots)
     dtype, counter_max = config.store.histogram_dtype, config.detector.counter_max or math.inf
     fullest, largest = min(max(pilot.brightest for pilot in pilots) * cycles, counter_max), np.iinfo(dtype).max
     if fullest + 6 * math.sqrt(fullest) > largest and counter_max > largest:
         why = f"{cycles:g} cycles would do, but bring {fullest:.2g} counts into a bin, more than {dtype} holds"
-        raise _refused(request, f"{why}; set a wider store.histogram_dtype, or detector.counter_max")
+        raise _refusal(request, f"{why}; set a wider store.histogram_dtype, or detector.counter_max")
     exposure = {"exposure_for": None, "found_for": request, "cycles": float(cycles)}
     return config.model_copy(update={"detector": config.detector.model_copy(update=exposure)})
 
@@ -213,14 +213,14 @@ def _enough_cycles(request: ExposureFor, pilots: list[_Pilot]) -> int:
     weakest = len(first) - math.ceil((1 - request.quantile) * len(first) - 1e-9)
     if first[weakest] == 0:
         dark = f"of {np.count_nonzero(first == 0)} of {len(first)} objects in pilot scenes no light is detected"
-        raise _refused(request, f"{dark}; raise photons_per_pulse or quantile, or move the gate")
+        raise _refusal(request, f"{dark}; raise photons_per_pulse or quantile, or move the gate")
     rate_hz, cycles, sigma = min(pilot.rate_hz for pilot in pilots), 1.0, first[weakest]
     frame_s = min(pilot.longest_s for pilot in pilots)
     longest = _most_cycles(request, rate_hz, frame_s)
     while sigma < request.least * (1 - 1e-6):
         if sigma == 0:
             full = "counters are full before enough of the objects have as much"
-            raise _refused(request, f"{full}; raise counter_max or quantile, or lower photons_per_pulse")
+            raise _refusal(request, f"{full}; raise counter_max or quantile, or lower photons_per_pulse")
         # σ grows with √N at most, so no fewer cycles are enough. A hundredth more at least, or the last steps would
         # be as many as there are bins whose counters get full.
         needed = cycles * max(float(request.least / sigma) ** 2, 1.01)
@@ -234,7 +234,7 @@ def _enough_cycles(request: ExposureFor, pilots: list[_Pilot]) -> int:
                     f"{frame_s:.2g} s fit into a frame; lower sequence.rate_hz or {request.of}, or raise "
                     "photons_per_pulse"
                 )
-            raise _refused(request, f"{needed / rate_hz:.2g} s would be needed; {remedy}")
+            raise _refusal(request, f"{needed / rate_hz:.2g} s would be needed; {remedy}")
         cycles = min(_rounded_up(needed), longest)
         sigma = significances(cycles)[weakest]
     return round(cycles)
@@ -251,7 +251,7 @@ def _rounded_up(cycles: float) -> int:
     return max(math.ceil(cycles / unit - 1e-6) * unit, 1)
 
 
-def _refused(request: ExposureFor, why: str) -> InputError:
+def _refusal(request: ExposureFor, why: str) -> InputError:
     """The error that names the request and the reason."""
     given = ", ".join(f"{name}: {value:g}" for name, value in request.model_dump().items())
     return InputError(f"detector.exposure_for = {{{given}}}: {why}")

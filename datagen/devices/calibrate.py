@@ -227,7 +227,7 @@ class _Fit:
         radius = nominal.zones.aperture_radius_mm * 1e-3
         # A beam sends the share fading du / field into du, so that g, the factor before ∫ w r fading cos³θ du / z² in
         # (2), is photons · pde / π · A / field.
-        field = _lit(nominal)
+        field = _lit_area(nominal)
         own = np.diag(shape.sharing) * self.brightness
         gains = own / shape.energies()
         top = float(gains.max())
@@ -255,7 +255,7 @@ class _Fit:
         of_counting = ["counting.cycles", "counting.dark_count_rate_hz"]
         sources = nominal.sources | dict.fromkeys([*of_zones, *of_time, *of_counting], source)
         sources["counting.photons_per_pulse"] = (
-            f"{source}, for its {_said(shape.plane)} and the aperture and PDE stated"
+            f"{source}, for its {_plane_text(shape.plane)} and the aperture and PDE stated"
         )
         device = nominal.model_copy(update={
             "zones": zones, "counting": counting, "time": time, "pulse": pulse, "sources": sources,
@@ -273,7 +273,7 @@ class _Fit:
         return device, numbers
 
 
-def _lit(device: Device) -> float:
+def _lit_area(device: Device) -> float:
     """∫ fading du over the lit field, tangents²; fading is 1 on the axis."""
     light = device.light
     right, up = (2 * np.tan(np.radians(side) / 2) for side in light.field_deg)
@@ -286,7 +286,7 @@ def _lit(device: Device) -> float:
     return float(right * up * fading.mean())
 
 
-def _said(plane: Material) -> str:
+def _plane_text(plane: Material) -> str:
     """What the light is relative to, in words."""
     return f"albedo {plane.albedo:g}" if isinstance(plane, Lambertian) else f"material {plane}"
 

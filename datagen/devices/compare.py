@@ -77,7 +77,7 @@ def compare(
         check_choice("fit", group, GROUPS)
     doing = doing or (lambda what: None)
     order_is_stated = frames.zone_order is not None
-    frames, modes = _checked(frames, sensor)
+    frames, modes = _frames_and_modes(frames, sensor)
     held_out = len(frames) >= FEWEST_HELD_OUT
     everything = np.arange(len(frames))
     fitted, tested = fitted_and_tested(len(frames)) if held_out else (everything, everything)
@@ -110,7 +110,7 @@ def compare(
     )  # fmt: skip
 
 
-def _checked(frames: Frames, sensor: Device) -> tuple[Frames, list[Device]]:
+def _frames_and_modes(frames: Frames, sensor: Device) -> tuple[Frames, list[Device]]:
     """The frames without a leading reference channel, and the modes of the sensor that have their shape. Raises
     `InputError` as `compare` does."""
     if frames.poses is None:

@@ -192,7 +192,7 @@ def _json(path: Path) -> dict[str, Any]:
         if having not in (0, len(listed)):
             raise ValueError(f"{key!r} is in {having} of {len(listed)} frames; all or none must have it")
         if having:
-            found[name] = _stacked(key, [frame.pop(key) for frame in listed])
+            found[name] = _stack_of(key, [frame.pop(key) for frame in listed])
     if "histograms" not in found:
         raise ValueError("no frame has 'hists'")
     return found
@@ -207,7 +207,7 @@ def _order(given: NDArray[Any]) -> str | tuple[int, ...]:
     return tuple(map(int, given))
 
 
-def _stacked(key: str, values: list[NDArray[Any]]) -> Floats:
+def _stack_of(key: str, values: list[NDArray[Any]]) -> Floats:
     """(n, …) the values of n frames, which must have one shape."""
     stacked = np.empty((len(values), *values[0].shape))
     for number, value in enumerate(values):

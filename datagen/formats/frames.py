@@ -92,7 +92,7 @@ def config_of_frames(
         files.append(
             ImportedFile(
                 name=path.name, sha256=sha256_of(path), format="frames", frames=len(frames),
-                taken=_taken(read, sensor), labels=denali_labels(path, known),
+                taken=_taken_text(read, sensor), labels=denali_labels(path, known),
             )
         )  # fmt: skip
     dtype = dtype_of_counts(most)
@@ -102,7 +102,7 @@ def config_of_frames(
     return imported_config(files, capture, {"fields": ["histogram"], "histogram_dtype": dtype}, settings, named)
 
 
-def _taken(frames: Frames, sensor: Device) -> str:
+def _taken_text(frames: Frames, sensor: Device) -> str:
     """What is taken for the axes, units, time zero and places of a file of frames, in one line."""
     order = frames.zone_order if isinstance(frames.zone_order, str) else "listed by number"
     order = "the order of the device" if frames.zone_order is None else order

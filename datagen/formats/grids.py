@@ -169,7 +169,7 @@ def _capture_of_grid(
                 f"{path}: tofgrid: {int(shifts.max())} bins of {time.width_s * 1e12:g} ps to the wall and back, and "
                 f"{values.shape[-1]} bins in all; are they ps, and is {option('bin_width')} right?"
             )
-        values = _shifted(values, shifts, kept)
+        values = _shifted_bins(values, shifts, kept)
         time = replace(time, bins=kept)
         notes.append(f"tofgrid taken off, {int(shifts.min())} to {int(shifts.max())} bins")
     values = grid.by_rows(values, 1)
@@ -235,7 +235,7 @@ def _check_nothing_else(content: Content, name: str, options: ImportOptions) -> 
         )
 
 
-def _shifted(values: NDArray[Any], shifts: Ints, kept: int) -> NDArray[Any]:
+def _shifted_bins(values: NDArray[Any], shifts: Ints, kept: int) -> NDArray[Any]:
     """(frame, a, b, kept) the first `kept` bins of each point of the grid after its shift."""
     found = np.empty((len(values), *shifts.shape, kept), values.dtype)
     for shift in np.unique(shifts):

@@ -362,12 +362,12 @@ def _config(
         "time": TimeConfig.of(first.time).model_dump(mode="json"),
     }
     return imported_config(
-        [one.file for one in given], capture, _stored(given, field), settings, named, options=options,
+        [one.file for one in given], capture, _store_section(given, field), settings, named, options=options,
         detector_is_known="detector" in settings,
     )  # fmt: skip
 
 
-def _stored(given: list[_Summary], field: str | None) -> dict[str, Any]:
+def _store_section(given: list[_Summary], field: str | None) -> dict[str, Any]:
     """The section `store`: a histogram if all values are whole numbers that fit into its dtype, else a transient."""
     fraction = next((capture for capture in given if not capture.whole), None)
     most = max(given, key=lambda capture: capture.most)

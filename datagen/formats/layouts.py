@@ -57,7 +57,7 @@ class Layout:
         return shape is None or not self.axes or len(shape) in self.axes
 
 
-def _refused(content: Content, stated: Stated, why: str) -> Captured:
+def _refuse(content: Content, stated: Stated, why: str) -> Captured:
     """Raise `InputError` for a layout that is known, and holds nothing that can be imported as it is."""
     raise InputError(f"{content.path}: {why.format(variable=as_given('variable', 'data_t'))}")
 
@@ -94,10 +94,10 @@ LAYOUTS = (
     Layout("consumer NLOS", "hists", ("pt_cloud",), (), {"hists": VALUES, "pt_cloud": POINTS},
            read_consumer),
     Layout("phasor fields of 2020", "u_total", ("omega_space",), (), {}, partial(
-        _refused, why="holds a field at some frequencies (u_total, omega_space), from which counts over time cannot "
+        _refuse, why="holds a field at some frequencies (u_total, omega_space), from which counts over time cannot "
         "be had; take the histograms that it was made of")),
     Layout("y-tal of NLOS-DIRAC", "data_t", ("offset_laser", "offset_camera"), (), {}, partial(
-        _refused, why="is of NLOS-DIRAC, and says not where laser and sensor stood, which y-tal guesses; state wall, "
+        _refuse, why="is of NLOS-DIRAC, and says not where laser and sensor stood, which y-tal guesses; state wall, "
         "times and laser of its array by options, beginning with {variable}")),
 )  # fmt: skip
 """All layouts, in the order in which they are tried."""

@@ -67,11 +67,11 @@ def _variables_of_grid(m: Recording, place: Ints) -> dict[str, NDArray[Any]]:
         "tofgrid": 1e12 * _legs_s(m, m.laser_points, m.seen_points)[order],
         "wall_size": np.array([width] if square else [width, height]),
         "grid_points": points,
-        **_stated("grid_normals", m.seen_normals[order]),
+        **_normals_variable("grid_normals", m.seen_normals[order]),
     }
 
 
-def _stated(name: str, normals: Floats) -> dict[str, Floats]:
+def _normals_variable(name: str, normals: Floats) -> dict[str, Floats]:
     """The variable of normals; none where a capture that was imported does not state them."""
     return {name: normals} if np.isfinite(normals).all() else {}
 
@@ -95,5 +95,5 @@ def _variables_of_pairs(m: Recording) -> dict[str, NDArray[Any]]:
         transients[row, : bins - shift] = values[shift:]
     return {
         "trans_data": transients, "camera_points": seen, "laser_points": lit,
-        **_stated("camera_normals", seen_normals), **_stated("laser_normals", lit_normals),
+        **_normals_variable("camera_normals", seen_normals), **_normals_variable("laser_normals", lit_normals),
     }  # fmt: skip

@@ -67,11 +67,11 @@ def write_tal(scene: SceneContent, path: Path, quantity: str | None = None) -> N
         "H_format": h_format,
         "sensor_xyz": m.sensor_position.astype(np.float32),
         "sensor_grid_xyz": m.seen_points[sensors].astype(np.float32),
-        "sensor_grid_normals": _known(m.seen_normals[sensors]),
+        "sensor_grid_normals": _known_normals(m.seen_normals[sensors]),
         "sensor_grid_format": grid_format,
         "laser_xyz": m.laser_position.astype(np.float32),
         "laser_grid_xyz": m.laser_points[lasers].astype(np.float32),
-        "laser_grid_normals": _known(m.laser_normals[lasers]),
+        "laser_grid_normals": _known_normals(m.laser_normals[lasers]),
         "laser_grid_format": grid_format,
         "volume_format": VolumeFormat.X_Y_Z_3,
         "delta_t": float(path_from_time(m.time.width_s)),
@@ -118,7 +118,7 @@ def _with_axes(m: Recording) -> tuple[NDArray[Any], HFormat, Ints, Ints]:
     return h[:, lasers[:, :, None, None], sensors], HFormat.T_Lx_Ly_Sx_Sy, lasers, sensors
 
 
-def _known(normals: Floats) -> NDArray[np.float32] | None:
+def _known_normals(normals: Floats) -> NDArray[np.float32] | None:
     """Normals as the file has them; None if they are those of an imported capture that does not state them."""
     return normals.astype(np.float32) if np.isfinite(normals).all() else None
 

@@ -50,7 +50,7 @@ def connected_surfaces(corners: Floats) -> list[ConnectedSurface]:
     """The connected surfaces of triangles (F, 3, 3), metres."""
     if len(corners) == 0:
         return []
-    triangles, count = _merged(corners)
+    triangles, count = _merged_vertices(corners)
     links = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     label = connected_sets(links, count)[1][triangles[:, 0]]
     order = np.argsort(label, kind="stable")
@@ -81,7 +81,7 @@ def connected_sets(links: Ints, count: int) -> tuple[int, Ints]:
     return sets, label
 
 
-def _merged(corners: Floats) -> tuple[Ints, int]:
+def _merged_vertices(corners: Floats) -> tuple[Ints, int]:
     """(F, 3) numbers of the vertices, the same for corners at the same place, and the number of vertices."""
     points = corners.reshape(-1, 3)
     low = points.min(axis=0)

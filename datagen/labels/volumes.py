@@ -105,7 +105,7 @@ def occupancy(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArray[np.u
     thinnest = float(grid.voxel_m.min())
     for surface in surfaces:
         if surface.closed:
-            occupied |= _enclosed(grid, surface)
+            occupied |= _is_enclosed(grid, surface)
         if surface.mean_thickness_m < thinnest:
             occupied |= cut_voxels(grid.to_voxels(surface.corners), grid.shape)
     return occupied.astype(np.uint8)
@@ -128,12 +128,12 @@ def signed_distance(grid: VoxelGrid, surfaces: list[ConnectedSurface]) -> NDArra
         smallest[layer] = every.distances(grid.middles(np.array(layer), *rows_and_columns))
     for surface in (surface for surface in surfaces if surface.closed):
         # Inside a solid only its own surface counts, even if another one is nearer.
-        inside = np.nonzero(_enclosed(grid, surface))
+        inside = np.nonzero(_is_enclosed(grid, surface))
         own = Triangles(surface.corners).distances(grid.middles(*inside))
         smallest[inside] = np.minimum(smallest[inside], -own)
     return smallest
 
 
-def _enclosed(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
+def _is_enclosed(grid: VoxelGrid, surface: ConnectedSurface) -> Bools:
     """(depth, row, column) whether a closed surface encloses a voxel's centre."""
     return enclosed_voxels(grid.to_voxels(np.concatenate([surface.corners, surface.lid])), grid.shape)

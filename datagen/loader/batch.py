@@ -86,12 +86,12 @@ def collate(items: Sequence[Item]) -> Item:
             raise InputError(
                 f"items: item {number} and the first differ in {', '.join(other)}; give all the same keys"
             )
-    joined = _joined(items)
+    joined = _joined_events(items)
     same = [{name: value for name, value in item.items() if name not in joined} for item in items]
     return (default_collate(same) if same[0] else {}) | joined
 
 
-def _joined(items: Sequence[Item]) -> Item:
+def _joined_events(items: Sequence[Item]) -> Item:
     """`events` and `counts` of all items, end to end; nothing where they are not lists of events."""
     values = {name: [_tensor(item[name]) for item in items] for name in JOINED if name in items[0]}
     if not values.get("events") or not all(one is not None and one.ndim == 2 for one in values["events"]):

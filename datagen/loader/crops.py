@@ -88,9 +88,9 @@ def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> 
             raise InputError(
                 f"{name} = {shown(crop)}: rows and columns must both be slices, such as np.s_[8:24, 3:4]"
             )
-        chosen = _sliced(name, crop, every.reshape(grid)).reshape(-1)
+        chosen = _numbers_in_crop(name, crop, every.reshape(grid)).reshape(-1)
     elif isinstance(crop, slice):
-        chosen = _sliced(name, crop, every)
+        chosen = _numbers_in_crop(name, crop, every)
     else:
         chosen = every[_numbers(name, crop, size)]
     if not len(chosen):
@@ -98,7 +98,7 @@ def _indices(name: str, crop: Crop, size: int, grid: tuple[int, int] | None) -> 
     return chosen
 
 
-def _sliced(name: str, crop: Any, numbers: Ints) -> Ints:
+def _numbers_in_crop(name: str, crop: Any, numbers: Ints) -> Ints:
     try:
         return np.asarray(numbers[crop])
     except (TypeError, ValueError):
@@ -123,7 +123,7 @@ def _numbers(name: str, crop: object, size: int) -> NDArray[np.generic]:
 def _bins(crop: object, size: int) -> Ints:
     if not isinstance(crop, slice) or crop.step not in (None, 1):
         raise InputError(f"bins = {shown(crop)}: must be a slice of step 1, such as slice(100, 612)")
-    chosen = _sliced("bins", crop, np.arange(size, dtype=np.int64))
+    chosen = _numbers_in_crop("bins", crop, np.arange(size, dtype=np.int64))
     if not len(chosen):
         raise InputError(f"bins = {crop}: none of {size} is left")
     return chosen

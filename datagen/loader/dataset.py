@@ -21,7 +21,7 @@ from torch.utils.data import Dataset, get_worker_info
 from datagen.errors import CheckError, InputError, shown
 from datagen.loader.batch import JOINED, Item, NotHandedOn, Whole, goes_to_collate
 from datagen.loader.crops import Crops
-from datagen.loader.draw_counter import DrawCounter, check_epoch, shared
+from datagen.loader.draw_counter import DrawCounter, check_epoch, shared_copy
 from datagen.loader.events import events_of
 from datagen.loader.redrawn_noise import TRANSIENT_OF, NoiseSource, drawn_field
 from datagen.loader.sendable import check_sendable
@@ -237,7 +237,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         stored = [self._light.get(name, name) for name in self.selected]
         stored += GEOMETRY if self._volumes else ()
         self._seen: dict[str, Any] = {
-            name: shared(torch.zeros(self._schema.scenes, dtype=torch.bool)) for name in stored
+            name: shared_copy(torch.zeros(self._schema.scenes, dtype=torch.bool)) for name in stored
         }
         self._check = check
         self._reader: DatasetReader | None = None
@@ -293,7 +293,7 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy has memory of its own that it shares with its workers."""
         self.__dict__.update(state)
-        self._seen = {name: seen if seen.is_shared() else shared(seen) for name, seen in self._seen.items()}
+        self._seen = {name: seen if seen.is_shared() else shared_copy(seen) for name, seen in self._seen.items()}
 
     def set_epoch(self, epoch: int, items: Sequence[int] | None = None) -> None:
         """Set the next draw of every item (or of `items`) to number `epoch`; later reads count on from it.

@@ -45,9 +45,9 @@ class DrawCounter:
 
     def __init__(self, scenes: int) -> None:
         self._rank: int | None = None
-        self._state = shared(torch.zeros((5, scenes), dtype=torch.int64))
+        self._state = shared_copy(torch.zeros((5, scenes), dtype=torch.int64))
         # One more than the epoch of the state that was loaded last, until an epoch begins; else 0.
-        self._loaded = shared(torch.zeros(1, dtype=torch.int64))
+        self._loaded = shared_copy(torch.zeros(1, dtype=torch.int64))
         self._process = os.getpid()
         self._own: _OwnReads | None = None
         # Compiled here, once, before workers are forked.
@@ -77,7 +77,7 @@ class DrawCounter:
         rows, wanted = self._rows(), np.array(scenes, np.int64)
         if self._own is not None:
             self._own.count(rows, wanted)
-        reads, rank = _taken(rows[READS], wanted).tolist(), self.rank
+        reads, rank = _next_draws(rows[READS], wanted).tolist(), self.rank
         found = []
         for read, number, kind in zip(reads, rows[NUMBER][wanted].tolist(), rows[KIND][wanted].tolist(), strict=True):
             if kind in (EPOCH, BESIDES):
@@ -91,7 +91,11 @@ class DrawCounter:
         """Count apart from the process that this counter comes from: one of distributed training that is started with
         the dataset of another shares its memory, but has epochs of its own."""
         if self._process != os.getpid() and get_worker_info() is None:
-            self._state, self._loaded, self._process = shared(self._state), shared(self._loaded), os.getpid()
+            self._state, self._loaded, self._process = (
+                shared_copy(self._state),
+                shared_copy(self._loaded),
+                os.getpid(),
+            )
 
     def state_dict(self) -> dict[str, Any]:
         """The counts, as the sum of two: `begin`, and `reads`, which in a worker are its own since then. A loader
@@ -148,7 +152,11 @@ class DrawCounter:
         """`multiprocessing`, which starts workers, hands over the shared memory; all others a copy of its values."""
         self.__dict__.update(state)
         if not self._state.is_shared():
-            self._state, self._loaded, self._process = shared(self._state), shared(self._loaded), os.getpid()
+            self._state, self._loaded, self._process = (
+                shared_copy(self._state),
+                shared_copy(self._loaded),
+                os.getpid(),
+            )
 
     def _rows(self) -> Ints:
         rows: Ints = self._state.numpy()
@@ -178,7 +186,7 @@ class _OwnReads:
         np.add.at(self.reads, scenes, 1)
 
 
-def shared(values: torch.Tensor) -> torch.Tensor:
+def shared_copy(values: torch.Tensor) -> torch.Tensor:
     """A copy of `values` in memory that this process shares with workers which it starts."""
     own: torch.Tensor = values.clone().share_memory_()
     return own
@@ -191,7 +199,7 @@ def check_epoch(epoch: object) -> None:
 
 
 @intrinsic
-def _raised(typing: Any, counts: Any, place: Any, by: Any) -> Any:
+def _fetch_and_add(typing: Any, counts: Any, place: Any, by: Any) -> Any:
     """counts[place], to which `by` is added at the same moment: no other process can read it in between."""
     return _atomic("add", counts, place, by)
 
@@ -215,11 +223,11 @@ def _atomic(operation: str, counts: Any, place: Any, value: Any) -> Any:
 
 
 @compiled()
-def _taken(counts: Ints, places: Ints) -> Ints:
+def _next_draws(counts: Ints, places: Ints) -> Ints:
     """(n,) counts at these places, each of which is raised by one."""
     taken = np.empty(len(places), np.int64)
     for i in range(len(places)):
-        taken[i] = _raised(counts, places[i], 1)  # type: ignore[call-arg]
+        taken[i] = _fetch_and_add(counts, places[i], 1)  # type: ignore[call-arg]
     return taken
 
 
@@ -231,4 +239,4 @@ def _merge(counts: Ints, begin: Ints, reads: Ints) -> None:
     """
     for i in range(len(begin)):
         _raised_to(counts, i, begin[i])  # type: ignore[call-arg]
-        _raised(counts, i, reads[i])
+        _fetch_and_add(counts, i, reads[i])

@@ -44,7 +44,7 @@ class Found:
 def datasets_of(data: object, items: Ints) -> list[Found]:
     """What `items` of `data` read, for each dataset whose noise is drawn anew, once for all its places in `data`."""
     by_counter: dict[int, list[Found]] = {}
-    for one in _found(data, np.arange(len(items)), items, ()):
+    for one in _places_within(data, np.arange(len(items)), items, ()):
         by_counter.setdefault(id(one.draws), []).append(one)
     merged = []
     for several in by_counter.values():
@@ -58,7 +58,7 @@ def datasets_of(data: object, items: Ints) -> list[Found]:
     return merged
 
 
-def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) -> Iterator[Found]:
+def _places_within(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) -> Iterator[Found]:
     if id(data) in within:
         return
     within = (*within, id(data))
@@ -72,20 +72,20 @@ def _found(data: object, positions: Ints, items: Ints, within: tuple[int, ...]) 
             else:
                 yield Found(data._draws, NONE, NONE, np.unique(data.drawn), source=source)
     elif isinstance(data, Subset):
-        yield from _found(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
+        yield from _places_within(data.dataset, positions, np.asarray(data.indices, np.int64)[items], within)
     elif isinstance(data, ConcatDataset):
         ends = np.asarray(data.cumulative_sizes)
         for part, dataset in enumerate(data.datasets):
             begin = ends[part - 1] if part else 0
             here = (items >= begin) & (items < ends[part])
-            yield from _found(dataset, positions[here], items[here] - begin, within)
+            yield from _places_within(dataset, positions[here], items[here] - begin, within)
     else:
         for dataset in _parts_of(data):
             every = np.arange(_size(dataset))
-            whole = [*_found(dataset, every, every, within)]
+            whole = [*_places_within(dataset, every, every, within)]
             if _size(dataset) == _size(data):
                 # A dataset of the same length reads the same items, as wrappers do that change what is read.
-                for one, of_all in zip(_found(dataset, positions, items, within), whole, strict=True):
+                for one, of_all in zip(_places_within(dataset, positions, items, within), whole, strict=True):
                     yield replace(one, is_once=False, others=of_all.every_scene())
             else:
                 for one in whole:

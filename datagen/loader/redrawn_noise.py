@@ -40,9 +40,9 @@ class NoiseSource:
         config = manifest.config
         try:
             # Other sections are not parsed, because mesh files that they name may be gone.
-            self._detector = _stored(DetectorConfig, config["detector"])
-            self._effects = _stored(EffectsConfig, config.get("effects", {}))
-            self._time = _stored(CaptureConfig, config["capture"]).time.axis()
+            self._detector = _stored_section(DetectorConfig, config["detector"])
+            self._effects = _stored_section(EffectsConfig, config.get("effects", {}))
+            self._time = _stored_section(CaptureConfig, config["capture"]).time.axis()
         except (KeyError, ValueError) as error:
             what = " ".join(str(error).split())
             raise InputError(f"redraw_noise: the dataset's own configuration cannot be used ({what})") from None
@@ -91,6 +91,6 @@ class NoiseSource:
         return plan.apply_detector(*given, self._detector.tolerance)
 
 
-def _stored(model: type[Section], values: object) -> Section:
+def _stored_section(model: type[Section], values: object) -> Section:
     """A section of the configuration that a dataset stores."""
     return model.model_validate_json(json.dumps(values), context={"look_for_files": False})

@@ -29,6 +29,6 @@ def rows_of(record: R, which: Ints | Bools) -> R:
     return type(record)(*(values.take(rows, axis=0) for values in record))
 
 
-def joined(*records: R) -> R:
+def joined_rows(*records: R) -> R:
     """The rows of named tuples of arrays, one after the other."""
     return type(records[0])(*(np.concatenate(arrays) for arrays in zip(*records, strict=True)))

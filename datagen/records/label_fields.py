@@ -164,6 +164,6 @@ def names_made_by(module: str) -> tuple[str, ...]:
     return tuple(of.name for of in LABEL_FIELDS if of.made_by == module)
 
 
-def drawn() -> dict[str, LabelField]:
+def drawn_fields() -> dict[str, LabelField]:
     """The arrays that are drawn as images, by name."""
     return {of.name: of for of in LABEL_FIELDS if of.look is not None}

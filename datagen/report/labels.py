@@ -19,11 +19,11 @@ from datagen.labels import OBJECT_TABLES, ObjectBoxes, ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.records import Scene
 from datagen.records.arrays import Floats
-from datagen.records.label_fields import LabelField, Look, drawn
+from datagen.records.label_fields import LabelField, Look, drawn_fields
 from datagen.report.replay import StoredScene
 from datagen.report.style import captioned, empty_note, part_colors, short
 
-DRAWN = drawn()
+DRAWN = drawn_fields()
 _MOST_NAMES = 12
 """Parts that a legend beside an image has room for."""
 

@@ -82,7 +82,7 @@ def animation(stored: StoredScene, room: Scene | None) -> bytes | None:
         figure.suptitle(f"{short(stored.title, 48)}: {times_s[frame]:.2f} s", fontweight="bold")
         for update in updates:
             update(int(frame))
-        pictures.append(_drawn(figure))
+        pictures.append(_pixels_of(figure))
         # Axes stay where they are in the first picture; placed anew for each, they would tremble.
         figure.set_layout_engine("none")
     return _gif(pictures, durations_ms(len(chosen), shown_hz))
@@ -223,7 +223,7 @@ def _sums_by_time(values: Floats, edges_ns: Floats, window_ns: tuple[float, floa
     ]
 
 
-def _drawn(figure: Figure) -> NDArray[np.uint8]:
+def _pixels_of(figure: Figure) -> NDArray[np.uint8]:
     """(row, column, 3) the figure as it is now."""
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)

@@ -141,8 +141,8 @@ def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -
     """Room with its legend, time along the scan, light by part, counts, depth."""
     room = RoomPicture(replayed.scene, replayed.capture, replayed.transient.laser_points)
     text = (
-        f"{_scanned(replayed.capture)}; ceiling and walls in the way are taken off (dashed edges), σ is an object's "
-        f"significance in the data, and {_provenance(replayed)}."
+        f"{_scan_text(replayed.capture)}; ceiling and walls in the way are taken off (dashed edges), σ is an "
+        f"object's significance in the data, and {_provenance(replayed)}."
     )
     # The legend has all parts and four marks.
     legend_in = 0.2 * float(np.ceil((len(replayed.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
@@ -170,7 +170,7 @@ def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -
     channel = replayed.light.channel
     counts, expected = replayed.counts[channel], replayed.expected[channel]
     draw_counts(counted, counts, expected, replayed.counted, mean=_mean_name(replayed))
-    counted.set_title(f"Counts, {_named(replayed.light)}")
+    counted.set_title(f"Counts, {_light_text(replayed.light)}")
     draw_label(figure, behind, replayed.scene, "depth", depth)
     # At the left of the column, which leaves space for the colour bar at the right.
     behind.set_anchor("W")
@@ -213,14 +213,14 @@ def _curves_page(
     channel = light.channel
     one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     draw_counts(one, values[channel], None if expected is None else expected[channel], time, unit, mean)
-    one.set_title(_named(light).capitalize())
+    one.set_title(_light_text(light).capitalize())
     over = None if expected is None else expected.sum(axis=(0, 1))
     draw_counts(whole, values.sum(axis=(0, 1)), over, time, unit, mean)
     whole.set_title("Sum over the scan")
     return figure
 
 
-def _named(light: Light) -> str:
+def _light_text(light: Light) -> str:
     """The clear channel in words."""
     (lasers, pixels, _), (laser, pixel) = light.total.shape, light.channel
     if light.capture.pairing == "confocal":
@@ -230,7 +230,7 @@ def _named(light: Light) -> str:
     return f"laser point {laser} of {lasers}, pixel {pixel} of {pixels}"
 
 
-def _scanned(capture: Capture) -> str:
+def _scan_text(capture: Capture) -> str:
     """Laser points and pixels in words."""
     lasers, pixels, _ = capture.shape
     if capture.illumination == "flood":

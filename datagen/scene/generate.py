@@ -109,7 +109,7 @@ def generate_scene(
                 try:
                     placed = _find_places(spec, room, view, rng, rotate_anew=2 * number > attempts)
                     movers = dict[str, Mover]() if ways is None else ways.found(room, *placed, own)
-                    scene = _furnished(spec, room, view, placed[0], movers, rng, counts)
+                    scene = _furnished_scene(spec, room, view, placed[0], movers, rng, counts)
                     if short_of is not None:
                         _check_evidence(room, short_of, scene)
                     return scene
@@ -186,7 +186,7 @@ def _find_places(
     return spots, space
 
 
-def _furnished(
+def _furnished_scene(
     spec: SceneConfig, room: DrawnRoom, view: _View, spots: Mapping[str, Spot], movers: Mapping[str, Mover],
     rng: np.random.Generator, counts: dict[str, Scalar],
 ) -> Scene:  # fmt: skip

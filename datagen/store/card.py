@@ -184,7 +184,7 @@ def _provenance(dataset: Description) -> list[str]:
     manifest, made_by = dataset.manifest, dataset.manifest.made_by
     versions = ", ".join(f"{name} {made_by[name]}" for name in ("datagen", "python", *LIBRARIES))
     return [
-        *(_imported(manifest) or [f"seed {manifest.seed}; each scene depends on (seed, scene index) only"]),
+        *(_import_lines(manifest) or [f"seed {manifest.seed}; each scene depends on (seed, scene index) only"]),
         f"configuration fingerprint `{manifest.fingerprint}`; the whole configuration stands in `dataset.json`",
         *(f"mesh {_code(mesh)}, SHA-256 `{sha}`" for mesh, sha in manifest.meshes.items()),
         f"licence: {manifest.config['license'] or 'none stated, so all rights are reserved'}",
@@ -195,7 +195,7 @@ def _provenance(dataset: Description) -> list[str]:
     ]
 
 
-def _imported(manifest: Manifest) -> list[str]:
+def _import_lines(manifest: Manifest) -> list[str]:
     """Lines that name the files that were imported, and the options; none of a simulated dataset."""
     files, scene = list[str](), 0
     for file in manifest.imported:

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from datagen.store.arrays import GROUP
 from datagen.store.columns import Columns
-from datagen.store.environment import mixed
+from datagen.store.environment import environment_differences
 from datagen.store.manifest import Manifest
 from datagen.store.record import SceneRecord, ShardRecord, scenes_made
 from datagen.store.schema import Field
@@ -128,7 +128,7 @@ class Description:
 
     def differences(self) -> list[str]:
         """Sentences on how the environments differ in which the shards were made."""
-        return [f"shards differ in {name}" for name in mixed(self._environments)]
+        return [f"shards differ in {name}" for name in environment_differences(self._environments)]
 
     def label_place(self) -> str:
         """A sentence on where label images lie beside the scan; "" if no scene says so."""

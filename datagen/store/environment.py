@@ -35,7 +35,7 @@ def made_with() -> dict[str, str]:
     return versions | {"commit": commit() or "unknown"}
 
 
-def mixed(environments: Sequence[Mapping[str, str]], also: Sequence[str] = ()) -> list[str]:
+def environment_differences(environments: Sequence[Mapping[str, str]], also: Sequence[str] = ()) -> list[str]:
     """Differences between environments that may give other bytes for the same seed, such as `numpy 2.3.1 and 2.4.6`.
 
     Another processor of the same architecture may give other last digits of light, well within its claimed error; the
@@ -51,9 +51,9 @@ def mixed(environments: Sequence[Mapping[str, str]], also: Sequence[str] = ()) -
     return found
 
 
-def joined(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
+def joined_environment(old: Mapping[str, str], new: Mapping[str, str]) -> dict[str, str]:
     """The environment of a shard whose scenes were made in two environments. Values that differ are joined by "and",
-    where `mixed` splits them."""
+    where `environment_differences` splits them."""
     both = {name: f"{old[name]} and {value}" for name, value in new.items() if old.get(name, value) != value}
     return {**old, **new, **both}
 

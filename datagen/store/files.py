@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, TypeVar
 import pydantic
 
 from datagen.errors import InputError
-from datagen.locks import locked
+from datagen.locks import try_lock
 from datagen.store.location import Location, size_of, sized_chunks
 
 PARTIAL = ".partial"
@@ -106,7 +106,7 @@ def _new_locked(partial: Path) -> BinaryIO:
         # What stands there may be a link to another file, which must not be overwritten.
         partial.unlink(missing_ok=True)
         file = partial.open("xb")
-        if locked(file.fileno(), otherwise=True) and os.fstat(file.fileno()).st_nlink > 0:
+        if try_lock(file.fileno(), otherwise=True) and os.fstat(file.fileno()).st_nlink > 0:
             return file
         file.close()
 
@@ -117,7 +117,7 @@ def clear_partials(folder: Path) -> None:
         with contextlib.suppress(OSError):
             handle = os.open(partial, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
             try:
-                if locked(handle, otherwise=False):
+                if try_lock(handle, otherwise=False):
                     partial.unlink()
             finally:
                 os.close(handle)
@@ -154,7 +154,7 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def sealed(values: dict[str, Any]) -> bytes:
+def sealed_bytes(values: dict[str, Any]) -> bytes:
     """`json_bytes` with `checksum` as the last key: the SHA-256 of the file without that key."""
     body = json_bytes(values)
     return body[:-3] + f',\n  "checksum": "{hashlib.sha256(body).hexdigest()}"\n}}\n'.encode()
@@ -193,7 +193,7 @@ def read_if_there(path: Location) -> bytes | None:
 
 def read_json(path: Location) -> Any:
     """The value of a JSON file; raises `InputError`, which names the file, if it is no JSON."""
-    return parsed(path, read_whole(path), Any)
+    return parsed_json(path, read_whole(path), Any)
 
 
 @functools.cache
@@ -202,7 +202,7 @@ def _adapter(kind: Any) -> pydantic.TypeAdapter[Any]:
     return pydantic.TypeAdapter(kind)
 
 
-def parsed(path: Location, content: bytes, kind: type[T]) -> T:
+def parsed_json(path: Location, content: bytes, kind: type[T]) -> T:
     """The JSON `content` of a file as a value of type `kind`; raises `InputError`, one line, for anything else."""
     try:
         value: T = _adapter(kind).validate_json(content, strict=True)  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from datagen.errors import CheckError, InputError
-from datagen.locks import locked
+from datagen.locks import try_lock
 from datagen.records.checks import as_given
 from datagen.store.arrays import GROUP
 from datagen.store.files import PARTIAL, move, own_path
@@ -140,7 +140,7 @@ def growing_alone(root: Path) -> Iterator[None]:
         return
     try:
         last = time.monotonic() + _PATIENCE_S
-        while not locked(handle, otherwise=True):
+        while not try_lock(handle, otherwise=True):
             if time.monotonic() > last:
                 raise CheckError(
                     f"{root}: another build has been completing it for {_PATIENCE_S:.0f} s, and does not go on; when "

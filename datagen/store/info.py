@@ -117,13 +117,13 @@ def _times(dataset: Description) -> list[str]:
     if not dataset.made:
         return []
     stages = [f"  {stage:11}{taken_s:9.4f}" for stage, taken_s in seconds_by_stage(dataset.seconds).items()]
-    working = _covered(dataset.times)
+    working = _union_length(dataset.times)
     at_once = sum(finished - started for started, finished in dataset.times) / working if working > 0 else 0.0
     rate = f"{dataset.made / max(working, 1e-9):.2f} scenes/s, with {at_once:.1f} shards under way at a time"
     return ["seconds per scene (median; store: shard's share)", *stages, rate]
 
 
-def _covered(intervals: list[tuple[float, float]]) -> float:
+def _union_length(intervals: list[tuple[float, float]]) -> float:
     """The length of the union of intervals (start, stop)."""
     total, reached = 0.0, float("-inf")
     for start, stop in sorted(intervals):

@@ -22,7 +22,7 @@ from datagen.records import TimeAxis
 from datagen.records.clock import MOST_FRAMES
 from datagen.store.arrays import GROUP, Axis, coordinates, metadata_files, shard_shape
 from datagen.store.environment import STATED, made_with
-from datagen.store.files import is_intact, parsed, read_if_there, sealed
+from datagen.store.files import is_intact, parsed_json, read_if_there, sealed_bytes
 from datagen.store.location import Location, location_of
 from datagen.store.record import Digest, recorded_shards
 from datagen.store.schema import FORMAT, FORMAT_OF_SEQUENCES, Field, Schema, check_size, schema_of
@@ -157,7 +157,7 @@ class Manifest:
         values |= {key: getattr(schema, key) for key in ("scenes", "scenes_per_shard", "shards")}
         values |= {"fingerprint": self.fingerprint, "fields": [_field_row(field, schema) for field in schema.fields]}
         values |= {"samples": {"file": TABLE, "columns": COLUMNS}}
-        return sealed(values | {key: getattr(self, key) for key in _KEPT if key not in values})
+        return sealed_bytes(values | {key: getattr(self, key) for key in _KEPT if key not in values})
 
 
 def describe(config: DatasetConfig, schema: Schema) -> Manifest:
@@ -196,7 +196,7 @@ def read_manifest(root: str | Location) -> Manifest:
         what = "is no dataset: it has no dataset.json" if root.is_dir() else "no such dataset"
         raise InputError(f"{root}: {what}; name a folder that `datagen build` made")
     try:
-        stated = parsed(path, content, dict[str, Any])
+        stated = parsed_json(path, content, dict[str, Any])
     except InputError as error:
         raise DamagedManifest(f"{error}; {REMEDY}") from None
     number = stated.get("format")
@@ -212,7 +212,7 @@ def read_manifest(root: str | Location) -> Manifest:
             f"{path}: format = {number}, this datagen reads {_KNOWN}; use the version of datagen that made it"
         )
     try:
-        manifest = _manifest_of(parsed(path, content, _File), stated)
+        manifest = _manifest_of(parsed_json(path, content, _File), stated)
         # What these hold is checked by parsing it.
         manifest.splits(), manifest.imported, manifest.time
         return manifest

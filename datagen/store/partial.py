@@ -48,11 +48,11 @@ def shards_there(root: Location, manifest: Manifest, shards: Iterable[int] | Non
 
 def table_there(root: Location, manifest: Manifest) -> pa.Table:
     """The table of a dataset as if it were complete: a scene that is not there is one that could not be made."""
-    dataset = Description(manifest, _padded(root, manifest))
-    return table_of(dataset.rows(lambda: _padded(root, manifest)))
+    dataset = Description(manifest, _records_with_failures(root, manifest))
+    return table_of(dataset.rows(lambda: _records_with_failures(root, manifest)))
 
 
-def _padded(root: Location, manifest: Manifest) -> Iterator[ShardRecord]:
+def _records_with_failures(root: Location, manifest: Manifest) -> Iterator[ShardRecord]:
     """A record for each shard, with a failure for each scene that is not there."""
     schema, there = manifest.schema, {*recorded_shards(root)}
     for shard in range(schema.shards):

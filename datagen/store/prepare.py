@@ -43,7 +43,7 @@ def is_fresh(root: Path) -> bool:
     )
 
 
-def planned(root: Path, config: DatasetConfig) -> Manifest:
+def planned_manifest(root: Path, config: DatasetConfig) -> Manifest:
     """The manifest that `prepare` would write; no file is changed.
 
     A dataset may grow (more `scenes`); nothing else of its content may change. One that grows can also be built with
@@ -56,9 +56,9 @@ def planned(root: Path, config: DatasetConfig) -> Manifest:
     if is_fresh(root) or not root.is_dir():
         return describe(config, schema_of(config))
     try:
-        manifest = _resumed(root, config)
+        manifest = _resumed_manifest(root, config)
     except DamagedManifest:
-        restored = _restored(root, config)
+        restored = _restored_manifest(root, config)
         if restored is None:
             raise
         manifest = restored
@@ -79,20 +79,20 @@ def build_folders(root: Path, manifest: Manifest) -> list[Path]:
 
 
 def prepare(root: Path, config: DatasetConfig) -> Manifest:
-    """Create a dataset, or resume an existing one; returns its manifest. Raises as `planned` does.
+    """Create a dataset, or resume an existing one; returns its manifest. Raises as `planned_manifest` does.
 
     Only the parent process of a build calls this. Every step can be repeated: if a build is killed in between, the
     next one resumes. Of several builds that begin at once one comes first, and the others see what it began.
     """
     root.mkdir(parents=True, exist_ok=True)
     with alone_in(root):
-        return _prepared(root, config)
+        return _prepared_manifest(root, config)
 
 
-def _prepared(root: Path, config: DatasetConfig) -> Manifest:
+def _prepared_manifest(root: Path, config: DatasetConfig) -> Manifest:
     """What `prepare` returns, with nobody else in the folder, if its file system has locks."""
     is_new = is_fresh(root)
-    manifest = planned(root, config)
+    manifest = planned_manifest(root, config)
     for folder in build_folders(root, manifest):
         clear_partials(folder)
     _go_on_with_growth(root, manifest)
@@ -104,7 +104,7 @@ def _prepared(root: Path, config: DatasetConfig) -> Manifest:
         # else changes.
         forget_complete(root)
     if is_new and not write_first(root / MANIFEST, content):
-        return _prepared(root, config)
+        return _prepared_manifest(root, config)
     write_if_changed(home / MANIFEST, content)
     for name, metadata in metadata_files(manifest.schema, stored_axes(config)).items():
         if not (is_growing and holds(root / name, metadata)):
@@ -152,7 +152,7 @@ def forget_complete(root: Location) -> None:
         (root / name).unlink(missing_ok=True)
 
 
-def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
+def _restored_manifest(root: Path, config: DatasetConfig) -> Manifest | None:
     """The manifest of a dataset that lost its own, from the configuration and the shards; None without any shard,
     since nothing then says that the folder belongs to this configuration."""
     records = list(sound_records(root))
@@ -178,8 +178,9 @@ def _restored(root: Path, config: DatasetConfig) -> Manifest | None:
     return replace(describe(config, schema), made_by=dict(records[0].made_by))
 
 
-def _resumed(root: Path, config: DatasetConfig) -> Manifest:
-    """The manifest of an existing dataset, with the scenes of this configuration. Raises as `planned` does."""
+def _resumed_manifest(root: Path, config: DatasetConfig) -> Manifest:
+    """The manifest of an existing dataset, with the scenes of this configuration. Raises as
+    `planned_manifest` does."""
     if not (root / MANIFEST).is_file():
         first = sorted(path.name for path in root.iterdir())[0]
         raise DamagedManifest(
@@ -255,10 +256,10 @@ def _differences(old: Any, new: Any, key: str = "") -> Iterator[tuple[str, str, 
         for place, (was, now) in enumerate(zip(old, new, strict=True)):
             yield from _differences(was, now, f"{key}[{place}]")
     elif old != new:
-        yield key, _shown(old), _shown(new)
+        yield key, _value_text(old), _value_text(new)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if value is _MISSING:
         return "nothing"
     text = repr(value)

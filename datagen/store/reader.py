@@ -114,7 +114,7 @@ class DatasetReader:
         parts = [part] * len(scenes) if part is None or isinstance(part, Part) else part
         shape = next((of.shape for of in parts if of is not None), field.shape)
         if out is None:
-            out = np.empty((len(scenes), *shape), _stored(field))
+            out = np.empty((len(scenes), *shape), _stored_dtype(field))
         value_bytes = math.prod(shape) * np.dtype(field.dtype).itemsize
         is_kept = 4 * self._schema.scenes * value_bytes <= MEMORY_BYTES
 
@@ -174,7 +174,7 @@ class DatasetReader:
         shard, within = divmod(scene, self._schema.scenes_per_shard)
 
         def decode() -> NDArray[np.generic]:
-            values = np.empty((self._schema.scenes_per_shard, *field.shape), _stored(field))
+            values = np.empty((self._schema.scenes_per_shard, *field.shape), _stored_dtype(field))
             frame = self._frame(field, shard, None, 0, self._size(field, shard), values.nbytes)
             return self._decoded(field, shard, None, frame, values)
 
@@ -183,7 +183,7 @@ class DatasetReader:
         return value
 
     def _value(self, field: Field, scene: int, part: Part | None) -> NDArray[np.generic]:
-        out = np.empty((part or field).shape, _stored(field))
+        out = np.empty((part or field).shape, _stored_dtype(field))
         self._decode(field, scene, part, out)
         return out
 
@@ -193,7 +193,7 @@ class DatasetReader:
         whole = self._check and not self._seen[field.name][scene]
         if part is not None and not whole:
             self._decode_part(field, scene, part, out)
-        elif part is not None or out.dtype != _stored(field):
+        elif part is not None or out.dtype != _stored_dtype(field):
             value = self._value(field, scene, None)
             out[...] = value if part is None else part.cut(value)
         else:
@@ -229,7 +229,7 @@ class DatasetReader:
                 except ValueError as error:
                     raise self._fault(field, self._shard(scene), scene, f"cannot be decoded ({error})") from None
             raw = self._decoded(field, self._shard(scene), scene, frame, np.empty(_sizes(frame)[0], np.uint8))
-            values = raw[first - begin : stop - begin].view(_stored(field)).reshape(-1, field.shape[-1])
+            values = raw[first - begin : stop - begin].view(_stored_dtype(field)).reshape(-1, field.shape[-1])
             out[np.ix_(*here)] = values[rows - first // row_bytes, part.last]
 
     def _shard(self, scene: int) -> int:
@@ -242,7 +242,7 @@ class DatasetReader:
         offset, size = (int(n) for n in index[(within, *place)])
         if offset == _MISSING:
             raise self._fault(field, shard, scene, "the chunk is missing from its shard")
-        return self._frame(field, shard, scene, offset, size, math.prod(field.chunk) * _stored(field).itemsize)
+        return self._frame(field, shard, scene, offset, size, math.prod(field.chunk) * _stored_dtype(field).itemsize)
 
     def _frame(self, field: Field, shard: int, scene: int | None, offset: int, size: int, due_bytes: int) -> bytes:
         """A blosc frame, after a check of its checksum and of its decoded size, which must be `due_bytes`."""
@@ -349,7 +349,7 @@ class DatasetReader:
         return CheckError(f"{path}, {where}: {what}; run the same `datagen build` again to make shard {shard} anew")
 
 
-def _stored(field: Field) -> np.dtype[np.generic]:
+def _stored_dtype(field: Field) -> np.dtype[np.generic]:
     """The dtype of a field's values in its files."""
     return np.dtype(field.dtype).newbyteorder("<")
 

@@ -16,7 +16,7 @@ import pydantic
 from datagen.errors import CheckError, InputError
 from datagen.store.arrays import shard_file
 from datagen.store.environment import STATED
-from datagen.store.files import difference, is_intact, parsed, read_if_there, sealed
+from datagen.store.files import difference, is_intact, parsed_json, read_if_there, sealed_bytes
 from datagen.store.location import AnyLocation, Location
 from datagen.store.schema import Schema
 from datagen.store.stats import FieldStats
@@ -83,7 +83,7 @@ class ShardRecord:
 
     def to_bytes(self) -> bytes:
         """The record's file."""
-        return sealed(vars(self))
+        return sealed_bytes(vars(self))
 
     def mismatch(
         self, schema: Schema, fingerprint: str, extent: Literal["all", "at least", "any"] = "all"
@@ -159,7 +159,7 @@ def read_record(root: Location, shard: int) -> ShardRecord | None:
             return None
         if not is_intact(content):
             raise InputError(f"{path}: has changed since it was written (its checksum differs)")
-        record = parsed(path, content, ShardRecord)
+        record = parsed_json(path, content, ShardRecord)
         is_whole = {"store", "total"} <= set(record.seconds) and set(record.made_by) >= STATED
         if record.shard != shard or not is_whole:
             raise InputError(f"{path}: is not the record of shard {shard}")

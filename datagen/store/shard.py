@@ -41,7 +41,7 @@ def discard_shard(root: Path, schema: Schema, shard: int) -> None:
         path.unlink(missing_ok=True)
 
 
-def encoded(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
+def encoded_value(field: Field, value: NDArray[np.generic]) -> NDArray[np.generic]:
     """One scene's value in the dtype of its field.
 
     Raises `InputError` for another shape than the configuration gives, counts beyond the dtype's range (they never
@@ -156,7 +156,7 @@ def record_of(
 def _value(field: Field, sample: Sample) -> NDArray[np.generic]:
     if field.name not in sample.arrays:
         raise InputError(f"field {field.name!r}: missing, the sample has {', '.join(sample.arrays) or 'no arrays'}")
-    return encoded(field, sample.arrays[field.name])
+    return encoded_value(field, sample.arrays[field.name])
 
 
 def _plain(name: str, value: Scalar | np.generic) -> Scalar:

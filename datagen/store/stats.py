@@ -45,7 +45,7 @@ def stats_of(field: str, values: NDArray[np.generic]) -> FieldStats:
     return FieldStats(float(mean), math.sqrt(square), found.size / size)
 
 
-def pooled(mean: Floats, std: Floats, nonzero: Floats) -> dict[str, float]:
+def pooled_stats(mean: Floats, std: Floats, nonzero: Floats) -> dict[str, float]:
     """The statistics of several scenes of one shape, from those of each, (scenes,): field of `FieldStats` → value."""
     count = len(mean)
     if not count:

@@ -22,7 +22,7 @@ from datagen.store.files import read_json, replacing
 from datagen.store.location import Location, opened
 from datagen.store.record import GROWTH, SceneRecord, ShardRecord
 from datagen.store.splits import splits_of
-from datagen.store.stats import QUANTITIES, pooled
+from datagen.store.stats import QUANTITIES, pooled_stats
 
 TABLE = "samples.parquet"
 CROISSANT = "croissant.json"
@@ -142,7 +142,7 @@ def stats_of_rows(table: pa.Table) -> dict[str, dict[str, float]]:
     columns = {name: [f"stats.{name}.{quantity}" for quantity in QUANTITIES] for name in fields}
     found = {name: table.select(names).drop_null() for name, names in columns.items()}
     return {
-        name: pooled(*(np.asarray(column, np.float64) for column in rows.columns))
+        name: pooled_stats(*(np.asarray(column, np.float64) for column in rows.columns))
         for name, rows in found.items()
         if rows.num_rows
     }

@@ -32,7 +32,7 @@ from datagen.store.shard import digest
 from datagen.store.table import CROISSANT, TABLE, has_rows, read_table, write_table
 
 
-def committed(
+def committed_records(
     root: Location, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool = False
 ) -> list[ShardRecord]:
     """The records of committed shards: undamaged, of this configuration, with all their files at the right size. With
@@ -47,7 +47,8 @@ def each_committed(
     root: Location, manifest: Manifest, shards: Iterable[int] | None = None, hashes: bool | Container[int] = False,
     partly: bool = False,
 ) -> Iterator[ShardRecord]:  # fmt: skip
-    """The records of `committed`, one after the other: all of a large dataset take 9 kB of memory for a scene.
+    """The records of `committed_records`, one after the other: all of a large dataset take 9 kB of memory for a
+    scene.
 
     hashes : for all shards, or for these.
     partly : also shards of which the first scenes alone are there, because the dataset had fewer scenes.

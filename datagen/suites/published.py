@@ -20,7 +20,7 @@ from datagen.errors import CheckError
 from datagen.pipeline import simulate_sample
 from datagen.records.agreement import Agreement, counts_agreement, counts_in_spans, same_parameter
 from datagen.scene import generate_scene
-from datagen.store.files import json_bytes, parsed, read_whole
+from datagen.store.files import json_bytes, parsed_json, read_whole
 from datagen.store.record import Parameter
 from datagen.store.scenes import Scenes
 from datagen.suites.catalogue import Suite
@@ -59,7 +59,7 @@ class Published:
     @classmethod
     def read(cls, path: Path) -> Published:
         """The content of a file that `write` made."""
-        return parsed(path, read_whole(path), cls)
+        return parsed_json(path, read_whole(path), cls)
 
     def write(self, path: Path) -> None:
         """Write the file, which people can read."""

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.compiled import compiled
-from datagen.records.arrays import Bools, Floats, Ints, joined, rows_of
+from datagen.records.arrays import Bools, Floats, Ints, joined_rows, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import LAMBERTIAN, cosine_directions, dot, evaluate, pdf, sample
 from datagen.transport.effort import REPLICATES, Floats32
@@ -691,7 +691,7 @@ class _Block:
             # A path of four bounces has one x and one y: y is found from x, or x from y, or both are drawn.
             ys, landed = self.last_vertices(y, from_x)
             from_y = self.onward(self.back, rows_of(y, some))
-            xs = joined(x, self.lit(self.front, from_y))
+            xs = joined_rows(x, self.lit(self.front, from_y))
             of_from_x = np.arange(VERTICES, len(ys.part))
             found = np.concatenate([some, landed, VERTICES + some]), np.append(of_from_x, some)
             self.join(4, onward, xs, VERTICES, ys, found)
@@ -744,7 +744,7 @@ class _Block:
         """Vertices y, those found from x, and once more those of the latter whose ray landed in a pixel; and which
         came once more."""
         row, landed = self.landed(from_x)
-        return joined(y, self.lit(self.back, from_x), landed), row
+        return joined_rows(y, self.lit(self.back, from_x), landed), row
 
     def landed(self, y: Vertices) -> tuple[Ints, Lit]:
         """Which vertices have a cosine-distributed ray that lands in a pixel, and these, lit from where it landed."""

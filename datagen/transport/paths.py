@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from datagen.records import Capture, Scene
-from datagen.records.arrays import Floats, Ints, joined, rows_of
+from datagen.records.arrays import Floats, Ints, joined_rows, rows_of
 from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
@@ -276,4 +276,4 @@ def sample_paths(
             sample // samples, sample, np.full(len(sample), order), new.part.copy(), new.path.copy(),
             new.photons.copy(),
         ))  # fmt: skip
-    return joined(*found)
+    return joined_rows(*found)

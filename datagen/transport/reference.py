@@ -29,7 +29,7 @@ import numpy as np
 from datagen.compiled import compiled
 from datagen.records import Capture, Laser, Scene, Transient
 from datagen.records.accuracy import MAX_BOUNCES
-from datagen.records.arrays import Floats, Ints, joined, rows_of
+from datagen.records.arrays import Floats, Ints, joined_rows, rows_of
 from datagen.seeding import LightStream
 from datagen.transport.brdf import MaterialTable, evaluate
 from datagen.transport.coincidence import set_apart
@@ -164,7 +164,7 @@ def plain_paths(
         # Russian roulette: half of the paths go on, with twice the power.
         if max_bounces is None and order > 4:
             power = power * (rng.random(count) < 0.5) / 0.5
-    every = joined(*found)
+    every = joined_rows(*found)
     return rows_of(every, every.photons > 0)
 
 

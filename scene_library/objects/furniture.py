@@ -43,17 +43,17 @@ def armchair(rng: np.random.Generator) -> Solid:
     width, depth = rng.uniform(0.7, 0.95), rng.uniform(0.7, 0.9)
     seat, arm, back = rng.uniform(0.36, 0.44), rng.uniform(0.55, 0.65), rng.uniform(0.75, 1.0)
     side = rng.uniform(0.12, 0.2)
-    return Solid.compound(_upholstered(width, depth, seat, arm, back, side))
+    return Solid.compound(_upholstery(width, depth, seat, arm, back, side))
 
 
 def sofa(rng: np.random.Generator) -> Solid:
     """An upholstered bench with arms."""
     width, depth = rng.uniform(1.5, 2.3), rng.uniform(0.8, 1.0)
     seat, arm, back = rng.uniform(0.36, 0.44), rng.uniform(0.55, 0.65), rng.uniform(0.7, 0.9)
-    return Solid.compound(_upholstered(width, depth, seat, arm, back, rng.uniform(0.12, 0.25)))
+    return Solid.compound(_upholstery(width, depth, seat, arm, back, rng.uniform(0.12, 0.25)))
 
 
-def _upholstered(width: float, depth: float, seat: float, arm: float, back: float, side: float) -> list[Surface]:
+def _upholstery(width: float, depth: float, seat: float, arm: float, back: float, side: float) -> list[Surface]:
     inner = width - 2 * side
     return [
         block(side, depth, arm, -(width - side) / 2),

@@ -88,11 +88,11 @@ def _ribbon(points: Floats, half: float) -> list[Polygon]:
     """The outline of a stroke `2·half` wide along `points`; a ring has an outer outline and a hole."""
     if np.allclose(points[0], points[-1]):
         ring = points[:-1] if signed_area(points[:-1]) > 0 else points[:-1][::-1]
-        normal = _mitred(ring - np.roll(ring, 1, axis=0), following(ring) - ring)
+        normal = _mitre_offsets(ring - np.roll(ring, 1, axis=0), following(ring) - ring)
         return [ring + half * normal, (ring - half * normal)[::-1]]
     along = np.diff(points, axis=0)
     before, after = np.concatenate([along[:1], along]), np.concatenate([along, along[-1:]])
-    normal = _mitred(before, after)
+    normal = _mitre_offsets(before, after)
     unit = along / np.linalg.norm(along, axis=1)[:, None]
     points = points.copy()
     # Square ends: strokes that meet there then overlap instead of leaving a notch.
@@ -101,7 +101,7 @@ def _ribbon(points: Floats, half: float) -> list[Polygon]:
     return [np.concatenate([points + half * normal, (points - half * normal)[::-1]])]
 
 
-def _mitred(before: Floats, after: Floats) -> Floats:
+def _mitre_offsets(before: Floats, after: Floats) -> Floats:
     """Offset directions (to the right) at joints between edges, long enough to keep the width; at most twice."""
     right: Callable[[Floats], Floats] = lambda v: (  # noqa: E731
         np.stack([v[:, 1], -v[:, 0]], axis=1) / np.linalg.norm(v, axis=1)[:, None]

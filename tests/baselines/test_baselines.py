@@ -11,7 +11,7 @@ import pytest
 from made_suite import made_suite
 
 import datagen as dg
-from datagen.baselines.network import predicted
+from datagen.baselines.network import predictions_of
 from datagen.baselines.predict import centers_of, mean_of_training
 from datagen.baselines.scenes import SuiteScenes
 from datagen.cli import run
@@ -85,7 +85,7 @@ def made(count: int, seed: int) -> SuiteScenes:
 
 def test_the_network_learns_and_the_mean_does_not() -> None:
     train, val, test = made(120, 1), made(30, 2), made(60, 3)
-    found, blind = predicted(train, val, test, 0), mean_of_training(train, test, 0)
+    found, blind = predictions_of(train, val, test, 0), mean_of_training(train, test, 0)
     off = [np.sqrt(np.mean((of["depth"] - test.depth)[test.mask] ** 2)) for of in (found, blind)]
     assert off[1] == pytest.approx(1 / np.sqrt(12), rel=0.1) and off[0] < 0.4 * off[1]
     assert (found["mask"] == test.mask).mean() > 0.98 and (found["occupancy"] == test.occupancy).mean() > 0.98

@@ -23,7 +23,7 @@ import numpy as np
 import psutil
 
 from datagen.bench.measuring import machine, markdown
-from datagen.bench.stages import scanned
+from datagen.bench.stages import with_scan
 from datagen.config import load_config
 from datagen.store.record import recorded_shards
 
@@ -100,7 +100,7 @@ def main() -> None:
         config, root = Path(chosen.config), Path(folder) / "long.zarr"
         if chosen.scan:
             config = Path(folder) / "long.yaml"
-            values = scanned(load_config(chosen.config), chosen.scan).model_dump(mode="json")
+            values = with_scan(load_config(chosen.config), chosen.scan).model_dump(mode="json")
             config.write_text(json.dumps(values), encoding="utf-8")
         command = [sys.executable, "-m", "datagen", "build", str(config), str(root)]
         command += ["--workers", str(chosen.workers), "--scenes", str(chosen.scenes)]

@@ -10,12 +10,12 @@ import pytest
 from datasets import write_dataset
 
 from datagen.building import plan as planning
-from datagen.building.plan import AT_LEAST_S, WORTH, Pilots, planned, scene_limit, simulated_scenes
+from datagen.building.plan import AT_LEAST_S, WORTH, Pilots, plan_of, scene_limit, simulated_scenes
 from datagen.cli import run
 from datagen.config import DatasetConfig, config_from_mapping, load_config
 from datagen.errors import InputError
 from datagen.records import Sample
-from datagen.store import committed, read_manifest
+from datagen.store import committed_records, read_manifest
 
 CONFIG = """
 name: tiny
@@ -43,17 +43,17 @@ def pilots(*seconds: float) -> Pilots:
 
 def test_a_build_is_the_mean_scene_times_their_number() -> None:
     """The seconds of the first scene, which also loads compiled code, are no part of the mean."""
-    plan = planned(config_from_mapping({"scenes": 20}), pilots(50.0, 1.0, 2.0, 3.0), 1, 2)
+    plan = plan_of(config_from_mapping({"scenes": 20}), pilots(50.0, 1.0, 2.0, 3.0), 1, 2)
     assert plan.scene_s == (1.0, 2.0, 3.0) and plan.seconds == {"transport": 1.5, "store": 0.5}
     assert (plan.build_s, plan.build_bytes) == (40.0, 2000.0)
-    assert planned(config_from_mapping({"scenes": 1}), pilots(50.0), 1, 2).build_s == 50.0
+    assert plan_of(config_from_mapping({"scenes": 1}), pilots(50.0), 1, 2).build_s == 50.0
 
 
 @pytest.mark.parametrize(("scenes", "workers"), [(5, 7), (28, 3), (160, 1), (160, 3)])
 def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: int, workers: int) -> None:
     """Against a plain simulation of the queue, in which the scenes of the last shards are jobs of their own."""
     config = config_from_mapping({"scenes": scenes, "store": {"scenes_per_shard": 4}})
-    plan = planned(config, pilots(3.0), workers, 8)
+    plan = plan_of(config, pilots(3.0), workers, 8)
     jobs: list[int] = []
     for shard in range(plan.shards):
         number = min(4, scenes - 4 * shard)
@@ -63,7 +63,7 @@ def test_wall_clock_of_workers_that_take_shards_and_share_the_last_ones(scenes: 
         heapq.heappush(free, heapq.heappop(free) + 3.0 * number)
     assert plan.build_s == pytest.approx(max(free))
     # More workers than cores share these.
-    assert planned(config, pilots(3.0), workers, 1).build_s == pytest.approx(len(free) * plan.build_s)
+    assert plan_of(config, pilots(3.0), workers, 1).build_s == pytest.approx(len(free) * plan.build_s)
 
 
 def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_the_scenes_of_a_plan_are_those_of_the_build(config: Path, tmp_path: Pat
     settings = load_config(config)
     found = simulated_scenes(settings, 1e6)
     root = write_dataset(settings, tmp_path / "set")
-    records = committed(root, read_manifest(root))
+    records = committed_records(root, read_manifest(root))
     assert found.parameters == tuple(scene.parameters for record in records for scene in record.scenes)
     assert len(found.seconds) == 3 and not found.failed
     # Until the seconds have passed, but three at least.
@@ -119,7 +119,7 @@ def test_the_limit_is_given_or_follows_the_longest_scene(monkeypatch: pytest.Mon
     config = config_from_mapping({})
     assert scene_limit("2.5", config) == 2.5
     for longest, limit in ((0.01, AT_LEAST_S), (60.0, 60.0 * WORTH)):
-        plan = planned(config, pilots(0.0, 0.001, longest), 1, 1)
+        plan = plan_of(config, pilots(0.0, 0.001, longest), 1, 1)
         monkeypatch.setattr(planning, "plan_build", lambda _, plan=plan: plan)
         assert scene_limit("forecast", config) == limit
 

@@ -151,7 +151,7 @@ def test_one_other_value_is_found_in_its_stage(made: dict[int, Sample], tmp_path
     record, stated = (right / name_of).read_bytes(), json.loads((wrong / name_of).read_text())
 
     def only(stage: str, name: str) -> None:
-        found = module.replayed(right, 1)
+        found = module.replay_comparison(right, 1)
         assert [(row.stage, row.name) for row in found.rows if row.verdict != "same"] == [(stage, name)]
         assert found.first == stage and f"the first stage that differs is {stage} ({name})" in str(found.problem())
         if name != "parameters":
@@ -216,7 +216,7 @@ def test_the_stage_at_fault_is_named(
 ) -> None:
     """And what comes before it is the same. Other paint is seen by the labels, which know nothing of light."""
     monkeypatch.setattr(*fault)
-    found = module.replayed(built, 1)
+    found = module.replay_comparison(built, 1)
     assert found.first == stage
     before = NAMES[: NAMES.index(stage)]
     assert all(verdicts(found)[name] == {"same"} for name in before)
@@ -245,10 +245,10 @@ def test_light_of_another_processor_agrees_within_its_claims(
     assert run(["replay", str(there), "1"]) == 0
     out = capsys.readouterr().out
     assert "differs in  processor another and " in out and "agrees: " in out and "of the whole, claimed are" in out
-    found = module.replayed(there, 1)
+    found = module.replay_comparison(there, 1)
     assert found.problem() is None and "agrees" in verdicts(found)["light"] & verdicts(found)["counts"]
     assert all(verdicts(found)[name] == {"same"} for name in ("room", "capture", "detector", "labels"))
-    assert module.replayed(built, 1).first == "light" and resimulate(there, 2) == ([0, 1], [])
+    assert module.replay_comparison(built, 1).first == "light" and resimulate(there, 2) == ([0, 1], [])
     monkeypatch.undo()
 
     def other(**changes: float) -> Comparison:
@@ -256,7 +256,7 @@ def test_light_of_another_processor_agrees_within_its_claims(
         both = [(0, made[0]), (1, replace(made[1], arrays={**made[1].arrays, **arrays}))]
         manifest = read_manifest(there)
         write_shard(there, manifest.schema, 0, manifest.fingerprint, both)
-        return module.replayed(elsewhere(there), 1)
+        return module.replay_comparison(elsewhere(there), 1)
 
     assert other(transient=1.01).first is None and other(transient=1.5).first == "light"
     assert other(histogram=1).first is None and other(histogram=2).first == "counts"
@@ -312,7 +312,7 @@ def test_light_that_is_not_stored_is_compared_by_its_energy(
     for factor, first in ((1.01, None), (2.0, "light")):
         parameters = {**sample.parameters, "transient.energy": energy * factor}
         other = write_dataset(few, tmp_path / f"{factor}", lambda *_: replace(sample, parameters=parameters))  # noqa: B023
-        assert module.replayed(elsewhere(other), 0).first == first and verify(other).problems == ()
+        assert module.replay_comparison(elsewhere(other), 0).first == first and verify(other).problems == ()
 
 
 def test_a_scene_that_could_not_be_made(

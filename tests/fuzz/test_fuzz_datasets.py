@@ -11,7 +11,7 @@ from typing import Any
 from damage import COLUMNS, HARMS, SCENES, damaged, files_of, harmed, read, restated, small_dataset, told
 from fuzz_profile import assume, fuzzed, st
 
-from datagen.store import ShardRecord, committed, read_manifest, verify
+from datagen.store import ShardRecord, committed_records, read_manifest, verify
 from datagen.store.info import info
 from datagen.store.table import read_table
 
@@ -38,7 +38,7 @@ def files() -> list[Path]:
 @functools.cache
 def due() -> tuple[dict[str, Any], dict[str, Any], list[ShardRecord]]:
     root = pristine()[1]
-    return read(root, 0), read_table(root, COLUMNS, SCENES).to_pydict(), committed(root, read_manifest(root))
+    return read(root, 0), read_table(root, COLUMNS, SCENES).to_pydict(), committed_records(root, read_manifest(root))
 
 
 numbers = [0, -1, 1, 3, 2**31, 2**63, 10**12, 10**300, 0.5, float("nan"), float("inf"), -1e308]
@@ -74,7 +74,7 @@ def test_no_damage_is_silent(how: tuple[int, str, int, Any]) -> None:
         assert columns in (None, table), "other columns were read"
         text = told(lambda: info(root))
         assert text is None or all(c == "\n" or c.isprintable() for c in text)
-        believed = told(lambda: committed(root, read_manifest(root), hashes=True)) or []
+        believed = told(lambda: committed_records(root, read_manifest(root), hashes=True)) or []
         assert remade or all(record in records for record in believed), "a build would believe a damaged record"
         # What is remade, checksums and all, may state other seconds or another processor; nobody can tell.
         assert remade or found is None or found.problems, "verify is content with it"

@@ -11,9 +11,9 @@ from handmade_rooms import l_corridor
 
 from datagen.config import LabelsConfig, config_from_mapping
 from datagen.labels import LABEL_MAKERS, make_labels
-from datagen.records.label_fields import LABEL_FIELDS, LabelName, drawn
+from datagen.records.label_fields import LABEL_FIELDS, LabelName, drawn_fields
 from datagen.store.schema import schema_of
-from datagen.store.shard import encoded
+from datagen.store.shard import encoded_value
 
 
 def test_every_name_of_the_configuration_has_rows_and_every_row_a_name() -> None:
@@ -47,8 +47,8 @@ def test_the_schema_has_every_row_of_the_labels_asked_for() -> None:
             frame = ("frame",) if sequence and of.over_frames != "same" else ()
             assert field.dims == ("scene", *frame, *of.dims) and field.shape[: len(frame)] == (4,) * len(frame)
             assert (field.dtype, field.unit) == (of.dtype, of.unit)
-            assert encoded(field, np.zeros(field.shape, of.dtype)).dtype == np.dtype(of.dtype)
-    assert {name for name, of in drawn().items() if of.is_image or of.is_volume} == set(drawn())
+            assert encoded_value(field, np.zeros(field.shape, of.dtype)).dtype == np.dtype(of.dtype)
+    assert {name for name, of in drawn_fields().items() if of.is_image or of.is_volume} == set(drawn_fields())
 
 
 def test_the_page_of_datasets_names_every_label() -> None:

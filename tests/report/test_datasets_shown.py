@@ -27,7 +27,7 @@ from datagen.report.rooms import RoomPicture, draw_plan, draw_sight
 from datagen.report.style import house_style, new_figure
 from datagen.scene import generate_scene
 from datagen.store.columns import Columns
-from datagen.store.files import sealed
+from datagen.store.files import sealed_bytes
 from datagen.store.record import record_path
 
 pytestmark = pytest.mark.usefixtures("builds_here", "coarse")
@@ -134,7 +134,7 @@ def _fail(dataset: Path, scene: int, reason: str | None) -> None:
     record = json.loads(path.read_text())
     record["scenes"][scene]["failure"] = reason
     del record["checksum"]
-    path.write_bytes(sealed(record))
+    path.write_bytes(sealed_bytes(record))
 
 
 class _Page(HTMLParser):

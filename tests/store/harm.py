@@ -21,7 +21,7 @@ from here_and_now import one_worker_here
 from datagen.building.build import build
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
-from datagen.store import committed, read_manifest, verify
+from datagen.store import committed_records, read_manifest, verify
 from datagen.store.info import info
 from datagen.store.table import read_table
 from datagen.store.verify import dataset_digest
@@ -63,7 +63,7 @@ def quietly() -> Iterator[None]:
 def intact(root: Path) -> dict[int, bytes]:
     """Shard → its record, of committed shards with all their scenes. A kill must lose none of them."""
     with suppress(InputError):
-        there = committed(root, read_manifest(root), hashes=True)
+        there = committed_records(root, read_manifest(root), hashes=True)
         return {record.shard: record.to_bytes() for record in there if not record.failures}
     return {}
 

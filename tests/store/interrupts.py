@@ -13,7 +13,7 @@ from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
-from datagen.store import committed, read_manifest, verify
+from datagen.store import committed_records, read_manifest, verify
 from datagen.store.verify import dataset_digest
 
 CONFIG = """
@@ -53,7 +53,7 @@ def half_written(root: Path) -> set[str]:
     """Files below a dataset that belong to no committed shard."""
     if not (root / "dataset.json").is_file():
         return {path.name for path in root.rglob("*") if path.is_file()}
-    whole = committed(root, read_manifest(root), hashes=True)
+    whole = committed_records(root, read_manifest(root), hashes=True)
     due = {root / name for record in whole for name in record.files}
     due |= {root / f"build/shard-{record.shard:06d}.json" for record in whole}
     values = [path for path in root.glob("data.zarr/*/c/*/**/*") if path.is_file()]

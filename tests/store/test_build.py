@@ -35,7 +35,7 @@ from datagen.building.build import parse_shards
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.records import Sample
-from datagen.store import committed, prepare, running_path, verify
+from datagen.store import committed_records, prepare, running_path, verify
 from datagen.store.files import PARTIAL, clear_partials, write_atomically
 
 
@@ -234,7 +234,7 @@ def test_a_failed_scene_whose_result_was_lost_is_not_made_again(tmp_path: Path) 
     shard_job.run_shard(
         replace(recipe, root=tmp_path / "whole", manifest=whole, sample_function=fake_sample), 0, before
     )
-    digests = [[scene.digests for scene in next(iter(committed(tmp_path / name, whole, [0]))).scenes]
+    digests = [[scene.digests for scene in next(iter(committed_records(tmp_path / name, whole, [0]))).scenes]
                for name in ("set", "whole")]  # fmt: skip
     assert digests[0] == digests[1]
 

@@ -75,7 +75,7 @@ def test_a_signal_that_another_thread_takes_waits_until_a_worker_is_started() ->
 
 
 def test_an_error_of_a_job_names_the_line_of_the_worker() -> None:
-    with engines.started("local", 1, None) as running:
+    with engines.running_engine("local", 1, None) as running:
         error = running.submit(int, "two").exception()
     assert isinstance(error, ValueError) and "engines.py" in "".join(error.__notes__)
 

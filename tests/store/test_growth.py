@@ -28,7 +28,7 @@ from datagen.formats import export
 from datagen.formats.hub import DATASET
 from datagen.loader import TransientDataset
 from datagen.records import Sample
-from datagen.store import growth, planned, read_manifest, verify
+from datagen.store import growth, planned_manifest, read_manifest, verify
 from datagen.store.info import info
 from datagen.store.record import GROWTH
 from datagen.store.verify import dataset_digest
@@ -212,7 +212,7 @@ def test_a_growth_that_version_1_0_0_began(tmp_path: Path, config: Config, sound
     """It stated the larger dataset at once, and the last shard of the smaller one has too few scenes for that."""
     root, tried = tmp_path / "set", list[int]()
     shutil.copytree(sound, root)
-    content = planned(root, config(MANY)).to_bytes()
+    content = planned_manifest(root, config(MANY)).to_bytes()
     for name in ("samples.parquet", "croissant.json"):
         (root / name).unlink()
     for path in large.rglob("zarr.json"):

@@ -21,7 +21,7 @@ import datagen as dg
 from datagen.config import DatasetConfig, load_config, stored_axes, time_axes
 from datagen.config.store import StoredField
 from datagen.errors import InputError
-from datagen.store import Description, committed, read_manifest, schema_of, verify
+from datagen.store import Description, committed_records, read_manifest, schema_of, verify
 from datagen.store.card import card as card_text
 from datagen.store.schema import FORMAT
 
@@ -151,7 +151,7 @@ def test_cards_for_people_and_machines_are_whole(tmp_path: Path) -> None:
     assert found["scene"].to_pylist() == dg.TransientDataset(path, split="train").scenes.tolist()
     (path / "build/shard-000001.json").unlink()
     manifest = read_manifest(path)
-    rest = Description(manifest, committed(path, manifest))
+    rest = Description(manifest, committed_records(path, manifest))
     assert "configs" not in yaml.safe_load(card_text(rest).split("---\n", 2)[1])
 
 

@@ -86,7 +86,7 @@ def test_of_two_new_datasets_in_one_folder_one_is_begun(
     says so with status 1, and the dataset is that of the winner alone."""
     root, alone = tmp_path / "set", tmp_path / "alone"
     build_fakes(small_config(seed=4), alone)
-    monkeypatch.setattr(locks, "locked", lambda handle, otherwise: otherwise)
+    monkeypatch.setattr(locks, "try_lock", lambda handle, otherwise: otherwise)
     before(monkeypatch, *module, lambda: build_fakes(small_config(seed=4), root))
     with pytest.raises(CheckError, match=r"seed = 4, this configuration has 3.*another build began there first"):
         build_fakes(small_config(seed=3), root)

@@ -13,7 +13,7 @@ from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.store import schema_of
 from datagen.store.schema import CHUNK_BYTES, SHARD_BYTES, Field
-from datagen.store.shard import encoded
+from datagen.store.shard import encoded_value
 
 
 def scan(rows: int, columns: int, bins: int, scenes: int, pixels: int = 1) -> DatasetConfig:
@@ -62,7 +62,7 @@ TRANSIENT = Field("transient", ("scene", "laser", "pixel", "bin"), (1, 1, 3), "f
 
 
 def test_values_are_stored_as_they_are_or_not_at_all() -> None:
-    assert encoded(HISTOGRAM, np.array([[[0, 7, 255]]])).tolist() == [[[0, 7, 255]]]
+    assert encoded_value(HISTOGRAM, np.array([[[0, 7, 255]]])).tolist() == [[[0, 7, 255]]]
     for bad, message in (
         (np.array([[[0, 7, 256]]]), "256 lies outside 0 … 255 of uint8; set store.histogram_dtype"),
         (np.array([[[0, 7, -1]]]), "-1 lies outside 0 … 255"),
@@ -70,7 +70,7 @@ def test_values_are_stored_as_they_are_or_not_at_all() -> None:
         (np.array([[0, 7, 1]]), r"shape \(1, 3\) made, \(1, 1, 3\) follows"),
     ):
         with pytest.raises(InputError, match=message):
-            encoded(HISTOGRAM, bad)
+            encoded_value(HISTOGRAM, bad)
     for bad in (np.nan, np.inf, 1e300):
         with pytest.raises(InputError, match=r"at \(0, 0, 1\) is not a finite float32"):
-            encoded(TRANSIENT, np.array([[[0.0, bad, 1.0]]]))
+            encoded_value(TRANSIENT, np.array([[[0.0, bad, 1.0]]]))

@@ -17,7 +17,7 @@ from datasets import write_dataset
 from fake_samples import build_fakes, decoded_from_now, fake_sample, sequence_config, small_config
 
 import datagen as dg
-from datagen.building.replay import replayed
+from datagen.building.replay import replay_comparison
 from datagen.config import DatasetConfig, config_from_mapping, stored_axes
 from datagen.errors import InputError
 from datagen.store import DatasetReader, read_manifest, schema, schema_of, verify
@@ -193,7 +193,7 @@ def test_a_sequence_is_built_replayed_and_read(tmp_path: Path) -> None:
     root = tmp_path / "set"
     assert dg.build(real_config(), root, progress=False).complete
     assert verify(root, deep=True).problems == ()
-    found = replayed(root, 1)
+    found = replay_comparison(root, 1)
     assert found.problem() is None and {row.verdict for row in found.rows} == {"same", "not stored"}
     sample = dg.replay(root, 1)
     data = dg.TransientDataset(root, ("histogram", "depth", "objects", "laser_time"), counts="stored")

@@ -18,7 +18,7 @@ from hypothesis.extra.numpy import arrays
 
 import datagen as dg
 from datagen.store import verify
-from datagen.store.stats import QUANTITIES, FieldStats, pooled, stats_of
+from datagen.store.stats import QUANTITIES, FieldStats, pooled_stats, stats_of
 
 pytestmark = pytest.mark.usefixtures("builds_here")
 
@@ -47,7 +47,7 @@ def test_statistics_are_mean_and_standard_deviation(counts: np.ndarray, label: n
         for scene, of in zip(values, scenes, strict=True):
             assert np.allclose(astuple(of), plain(scene, name), rtol=1e-5, atol=scale)
         assert np.allclose(
-            list(pooled(*np.transpose([astuple(of) for of in scenes])).values()),
+            list(pooled_stats(*np.transpose([astuple(of) for of in scenes])).values()),
             plain(values, name),
             rtol=1e-5,
             atol=scale,

@@ -31,7 +31,7 @@ from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.loader import TransientDataset
 from datagen.records import Sample
-from datagen.store import committed, read_manifest, verify
+from datagen.store import committed_records, read_manifest, verify
 from datagen.store.environment import made_with
 from datagen.store.verify import dataset_digest
 
@@ -161,7 +161,11 @@ def test_a_mixture_that_is_accepted_costs_no_sound_scene(tmp_path: Path) -> None
     again(root, sample_function=counting(tried, fake_sample), accept_mixed=True)
     assert tried == [5] and verify(root, deep=True).problems == ()
     now = read_manifest(root).made_by["numpy"]
-    assert [r.made_by["numpy"] for r in committed(root, read_manifest(root))] == [now, f"1.26.0 and {now}", now]
+    assert [r.made_by["numpy"] for r in committed_records(root, read_manifest(root))] == [
+        now,
+        f"1.26.0 and {now}",
+        now,
+    ]
 
 
 def test_a_worker_with_other_versions_makes_no_shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,7 +245,7 @@ def test_one_digest_for_any_way_of_building(pristine: Path, dataset: Path, tmp_p
 @one_worker_here()
 def test_damage_is_repaired_in_the_shards_that_are_asked_for(dataset: Path) -> None:
     """The files of other shards are not read: a job of an array need not hash what hundreds of others have made."""
-    record = committed(dataset, read_manifest(dataset), [1])[0]
+    record = committed_records(dataset, read_manifest(dataset), [1])[0]
     file = dataset / next(iter(record.files))
     file.write_bytes(bytes([file.read_bytes()[0] ^ 1]) + file.read_bytes()[1:])
     config = read_manifest(dataset).parsed_config()
