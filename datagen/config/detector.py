@@ -39,7 +39,7 @@ class ExposureFor(Settings):
     evidence: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """Significance of an object's own light, standard deviations of a matched filter."""
     change: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    """In place of `evidence`, of a sequence: significance of the change from one frame to the next by an object that
+    """In place of `evidence`, of a sequence: σ of the change from one frame to the next by an object that
     moves."""
     quantile: Annotated[float, Field(ge=0, lt=1)] = 0.5
     """Share of the objects that may have less: with 0.5 half of the objects reach it, with 0.1 nine in ten."""
@@ -62,7 +62,7 @@ class ExposureFor(Settings):
 
     @property
     def least(self) -> float:
-        """The significance that is asked for."""
+        """The σ that is asked for."""
         return float(self.evidence if self.change is None else self.change)  # type: ignore[arg-type]
 
 

@@ -72,7 +72,7 @@ class Item(SurfaceMaterial):
     rotation_deg: Annotated[Distribution, within(-360, 360)] = Uniform(uniform=(0.0, 360.0))
     """Rotation about the vertical."""
     evidence_at_least: Annotated[float, Field(gt=0, le=1e4)] | None = None
-    """Least significance of each of these objects, standard deviations: all objects of a scene are placed anew until
+    """Least detectability σ of each of these objects: all objects of a scene are placed anew until
     they have it, which makes near, large and bright objects more frequent; where things move, in the median of the
     beginning, the middle and the end of the sequence. Left out: no limit."""
     motion: Motion | None = None

@@ -142,7 +142,7 @@ def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -
     room = RoomPicture(replayed.scene, replayed.capture, replayed.transient.laser_points)
     text = (
         f"{_scan_text(replayed.capture)}; ceiling and walls in the way are taken off (dashed edges), σ is an "
-        f"object's significance in the data, and {_provenance(replayed)}."
+        f"object's detectability in the data, and {_provenance(replayed)}."
     )
     # The legend has all parts and four marks.
     legend_in = 0.2 * float(np.ceil((len(replayed.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1

@@ -56,7 +56,7 @@ def _text(dataset: Description, growth: str) -> str:
         [place] if (place := dataset.label_place()) else [],
         _times(dataset),
         _accuracy(dataset.parameters),
-        ["evidence of objects (significance of an ideal matched filter)", *evidence] if evidence else [],
+        ["detectability of objects (σ of an ideal matched filter)", *evidence] if evidence else [],
         effect_lines(dataset.parameters, dataset.effects),
         [f"{failures} scenes could not be made", *(f"  {line}" for line in dataset.failure_lines(10))]
         if failures
