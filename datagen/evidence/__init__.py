@@ -3,8 +3,8 @@
 Detectability is the signal-to-noise ratio of a matched filter, the number of standard
 deviations by which the best linear test, which knows everything else of the scene, tells whether the object's light
 is there. Let b_i be the expected detections of bin i of a histogram (all light, ambient and dark counts, under gate,
-pile-up and dead time), and s_i those of the object's own light among them (`detector/own_light.py`). The detectability
-of the object, the `significance` of fields and parameters, is
+pile-up and dead time), and s_i those of the object's own light among them (`detector/own_light.py`). The
+detectability of the object, the `significance` of fields and parameters, is
 
     σ = √ Σ s_i² / b_i
 
