@@ -211,7 +211,7 @@ def test_every_kind_is_asked_and_an_unknown_one_fails() -> None:
         lambda: draw(unknown, values, NORMAL, w, np.full((1, 2), 0.5)),
         lambda: widened(unknown, values, 0.1),
     ):
-        with pytest.raises(ValueError, match="a kind of BRDF that models"):
+        with pytest.raises(ValueError, match="a kind of BRDF that the table"):
             call()
 
 

@@ -180,7 +180,7 @@ def multiple_share(f0: float, mean: float) -> float:
 
 
 @compiled()
-def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     to_facet, facets = _facet_and_density(values[1], w_in, w_out, cos_in, cos_out)
     return _of_facets(values, to_facet, facets, cos_in, cos_out)
@@ -198,7 +198,7 @@ def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, co
 
 @compiled()
 def at_most(
-    values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
     """`models.evaluate_at_most` for GGX."""
     # The half vector turns by at most `turn`, the sum of the two directions' turns, over the length of their sum.
@@ -222,7 +222,7 @@ def _facet_share(values: Floats, cos_in: float) -> float:
 
 
 @compiled()
-def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     alpha, share = values[1], _facet_share(values, cos_in)
     _, facets = _facet_and_density(alpha, w_in, w_out, cos_in, cos_out)

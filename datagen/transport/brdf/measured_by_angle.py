@@ -69,16 +69,18 @@ def _root(values: Floats, cosine: float) -> float:
 
 
 @compiled()
-def evaluate(values: Floats, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     # A product of the same two numbers in either order, so that it is reciprocal to the last bit.
     return float(values[0] / math.pi * values[2] * (_root(values, cos_in) * _root(values, cos_out)))
 
 
 @compiled()
-def at_most(values: Floats, cos_in: float, cos_out: float) -> float:
+def at_most(
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
     """`models.evaluate_at_most` for MeasuredByAngle, which has no lobe that could be missed."""
-    return float(evaluate(values, cos_in, cos_out))
+    return float(evaluate(values, n, w_in, w_out, cos_in, cos_out))
 
 
 @compiled()
@@ -93,7 +95,7 @@ def _first_share(values: Floats) -> int:
 
 
 @compiled()
-def pdf(values: Floats, cos_out: float) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr: within a panel that of Lambert's law."""
     panel, first = _panel(values, cos_out), _first_share(values)
     below = values[first + panel - 1] if panel > 0 else 0.0
@@ -103,7 +105,7 @@ def pdf(values: Floats, cos_out: float) -> float:
 
 
 @compiled()
-def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     panels, first = int(values[1]), _first_share(values)
     panel, below = 0, 0.0

@@ -16,22 +16,13 @@ from numba.extending import overload
 
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats
-from datagen.transport.brdf import ggx, measured_by_angle, oren_nayar, phong, retroreflector, sin_lobe
 from datagen.transport.brdf.directions import Vector, dot, sample_cosine
-from datagen.transport.brdf.table import (
-    GGX_LOBE,
-    LAMBERTIAN,
-    MEASURED_BY_ANGLE,
-    OREN_NAYAR,
-    PHONG,
-    RETROREFLECTOR,
-    SIN_LOBE,
-)
+from datagen.transport.brdf.table import LAMBERTIAN, MODELS
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-UNKNOWN = "a kind of BRDF that models.py does not call"
+UNKNOWN = "a kind of BRDF that the table of models does not have"
 
 
 @compiled(inline="always")
@@ -100,23 +91,52 @@ def widen(kind: int, values: Floats, span: float) -> None:
         _other_widened(kind, values, span)
 
 
+def _or(kind: int, own: Callable[..., R], others: Callable[..., R]) -> Callable[..., R]:
+    """A function for compiled code: `own` for the kind of that number, `others` for every other kind."""
+
+    @compiled(forceinline=True)
+    def chosen(asked: int, *arguments: Any) -> R:
+        return own(*arguments) if asked == kind else others(asked, *arguments)
+
+    return chosen
+
+
+def _or_error(kind: int, own: Callable[..., R]) -> Callable[..., R]:
+    """A function for compiled code: `own` for the kind of that number, and an error for every other kind."""
+
+    @compiled(forceinline=True)
+    def chosen(asked: int, *arguments: Any) -> R:
+        if asked == kind:
+            return own(*arguments)
+        raise ValueError(UNKNOWN)
+
+    return chosen
+
+
+def _by_kind(name: str) -> Callable[..., Any]:
+    """A function for compiled code that has the kind as its first argument, which is not Lambert's law: the function
+    of that name in the file of the kind, for the other arguments."""
+    (last, own), *others = [
+        (kind, getattr(model.physics, name)) for kind, model in reversed([*enumerate(MODELS)]) if kind != LAMBERTIAN
+    ]
+    chosen = _or_error(last, own)
+    for kind, own in others:
+        chosen = _or(kind, own, chosen)
+    return chosen
+
+
+_evaluate: Callable[..., float] = _by_kind("evaluate")
+_at_most: Callable[..., float] = _by_kind("at_most")
+_pdf: Callable[..., float] = _by_kind("pdf")
+_sample: Callable[..., Vector] = _by_kind("sample")
+_widen: Callable[..., None] = _by_kind("widen")
+
+
 @compiled()
 def _evaluate_other(
     kind: int, values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float
 ) -> float:
-    if kind == SIN_LOBE:
-        return sin_lobe.evaluate(values, n, w_in, w_out)
-    if kind == PHONG:
-        return phong.evaluate(values, w_in, w_out, cos_in, cos_out)
-    if kind == OREN_NAYAR:
-        return oren_nayar.evaluate(values, w_in, w_out, cos_in, cos_out)
-    if kind == GGX_LOBE:
-        return ggx.evaluate(values, w_in, w_out, cos_in, cos_out)
-    if kind == RETROREFLECTOR:
-        return retroreflector.evaluate(values, w_in, w_out, cos_in, cos_out)
-    if kind == MEASURED_BY_ANGLE:
-        return measured_by_angle.evaluate(values, cos_in, cos_out)
-    raise ValueError(UNKNOWN)
+    return _evaluate(kind, values, n, w_in, w_out, cos_in, cos_out)
 
 
 @compiled()
@@ -126,19 +146,7 @@ def _other_evaluated_at_most(
     cos_in, cos_out = dot(n, w_in), dot(n, w_out)
     if cos_in <= 0.0 or cos_out <= 0.0:
         return 0.0
-    if kind == SIN_LOBE:
-        return sin_lobe.at_most(values, n, w_in, w_out, turn, tilt)
-    if kind == PHONG:
-        return phong.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
-    if kind == OREN_NAYAR:
-        return oren_nayar.at_most(values, w_in, w_out, cos_in, cos_out)
-    if kind == GGX_LOBE:
-        return ggx.at_most(values, w_in, w_out, cos_in, cos_out, turn, tilt)
-    if kind == RETROREFLECTOR:
-        return retroreflector.at_most(values, w_in, w_out, cos_in, cos_out, turn)
-    if kind == MEASURED_BY_ANGLE:
-        return measured_by_angle.at_most(values, cos_in, cos_out)
-    raise ValueError(UNKNOWN)
+    return _at_most(kind, values, n, w_in, w_out, cos_in, cos_out, turn, tilt)
 
 
 @compiled()
@@ -149,56 +157,19 @@ def _pdf_other(
     # `_sample_other` draws by the cosine, too.
     if cos_in <= 0.0:
         return cos_out / math.pi
-    if kind == SIN_LOBE:
-        return sin_lobe.pdf(values, n, cos_out, w_out)
-    if kind == PHONG:
-        return phong.pdf(values, w_in, w_out, cos_in, cos_out)
-    if kind == OREN_NAYAR:
-        return oren_nayar.pdf(values, cos_in, cos_out)
-    if kind == GGX_LOBE:
-        return ggx.pdf(values, w_in, w_out, cos_in, cos_out)
-    if kind == RETROREFLECTOR:
-        return retroreflector.pdf(values, w_in, w_out, cos_out)
-    if kind == MEASURED_BY_ANGLE:
-        return measured_by_angle.pdf(values, cos_out)
-    raise ValueError(UNKNOWN)
+    return _pdf(kind, values, n, w_in, w_out, cos_in, cos_out)
 
 
 @compiled()
 def _sample_other(kind: int, values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     if cos_in <= 0.0:
         return sample_cosine(n, u, v)
-    if kind == SIN_LOBE:
-        return sin_lobe.sample(values, n, u, v)
-    if kind == PHONG:
-        return phong.sample(values, n, w_in, u, v)
-    if kind == OREN_NAYAR:
-        return oren_nayar.sample(values, n, cos_in, u, v)
-    if kind == GGX_LOBE:
-        return ggx.sample(values, n, w_in, cos_in, u, v)
-    if kind == RETROREFLECTOR:
-        return retroreflector.sample(values, n, w_in, u, v)
-    if kind == MEASURED_BY_ANGLE:
-        return measured_by_angle.sample(values, n, u, v)
-    raise ValueError(UNKNOWN)
+    return _sample(kind, values, n, w_in, cos_in, u, v)
 
 
 @compiled()
 def _widen_other(kind: int, values: Floats, span: float) -> None:
-    if kind == SIN_LOBE:
-        sin_lobe.widen(values, span)
-    elif kind == PHONG:
-        phong.widen(values, span)
-    elif kind == OREN_NAYAR:
-        oren_nayar.widen(values, span)
-    elif kind == GGX_LOBE:
-        ggx.widen(values, span)
-    elif kind == RETROREFLECTOR:
-        retroreflector.widen(values, span)
-    elif kind == MEASURED_BY_ANGLE:
-        measured_by_angle.widen(values, span)
-    else:
-        raise ValueError(UNKNOWN)
+    _widen(kind, values, span)
 
 
 def _unless_lambertian(answer: Callable[P, R], otherwise: Callable[..., R]) -> Callable[P, R]:

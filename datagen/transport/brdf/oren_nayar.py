@@ -59,7 +59,7 @@ def single_albedo(r: float, cosine: float) -> float:
 
 
 @compiled()
-def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     r = values[1]
     s = dot(w_in, w_out) - cos_in * cos_out
@@ -71,9 +71,11 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 
 @compiled()
-def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def at_most(
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
     """`models.evaluate_at_most` for OrenNayar, which has no lobe that could be missed."""
-    return float(evaluate(values, w_in, w_out, cos_in, cos_out))
+    return float(evaluate(values, n, w_in, w_out, cos_in, cos_out))
 
 
 @compiled()
@@ -89,14 +91,14 @@ def _uniform_share(r: float, cos_in: float) -> float:
 
 
 @compiled()
-def pdf(values: Floats, cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     share = _uniform_share(values[1], cos_in)
     return share / (2.0 * math.pi) + (1.0 - share) * cos_out / math.pi
 
 
 @compiled()
-def sample(values: Floats, n: Vector, cos_in: float, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     share = _uniform_share(values[1], cos_in)
     if u < share:

@@ -63,7 +63,7 @@ def widen(values: Floats, span: float) -> None:
 
 
 @compiled()
-def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     exponent, specular = values[1], values[2]
     # Cosine between `w_out` and the mirror direction 2 cosθ_in n − w_in, which need not be computed for it.
@@ -74,7 +74,7 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 @compiled()
 def at_most(
-    values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
 ) -> float:
     """`models.evaluate_at_most` for Phong: the mirror direction turns twice as far as the normal."""
     exponent, specular = values[1], values[2]
@@ -87,7 +87,7 @@ def at_most(
 
 
 @compiled()
-def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     exponent, specular = values[1], values[2]
     from_mirror = 2.0 * cos_in * cos_out - dot(w_in, w_out)
@@ -96,7 +96,7 @@ def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: flo
 
 
 @compiled()
-def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     exponent, specular = values[1], values[2]
     if u >= specular and specular < 1.0:

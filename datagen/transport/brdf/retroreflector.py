@@ -74,7 +74,7 @@ def density(kappa: float, w_in: Vector, w_out: Vector) -> float:
 
 
 @compiled()
-def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     retro = values[2]
     lobe = density(values[1], w_in, w_out) / max(cos_in, cos_out)
@@ -82,7 +82,9 @@ def evaluate(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out
 
 
 @compiled()
-def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float) -> float:
+def at_most(
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
     """`models.evaluate_at_most` for retroreflectors: the lobe does not depend on the normal."""
     kappa, retro = values[1], values[2]
     angle = max(math.acos(min(max(dot(w_in, w_out), -1.0), 1.0)) - turn, 0.0)
@@ -91,14 +93,14 @@ def at_most(values: Floats, w_in: Vector, w_out: Vector, cos_in: float, cos_out:
 
 
 @compiled()
-def pdf(values: Floats, w_in: Vector, w_out: Vector, cos_out: float) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     retro = values[2]
     return float(retro * density(values[1], w_in, w_out) + (1.0 - retro) * cos_out / math.pi)
 
 
 @compiled()
-def sample(values: Floats, n: Vector, w_in: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     kappa, retro = values[1], values[2]
     if u >= retro and retro < 1.0:

@@ -53,14 +53,16 @@ def azimuth_sine(axis: Vector, n: Vector, w: Vector) -> float:
 
 
 @compiled()
-def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector) -> float:
+def evaluate(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """The BRDF, 1/sr, of directions above the surface."""
     axis = (values[1], values[2], values[3])
     return float(0.5 * values[0] * azimuth_sine(axis, n, w_in) * azimuth_sine(axis, n, w_out))
 
 
 @compiled()
-def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float, tilt: float) -> float:
+def at_most(
+    values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float, turn: float, tilt: float
+) -> float:
     """`models.evaluate_at_most` for SinLobe."""
     # An azimuth turns by the turn of its direction, over the sine of the direction's polar angle.
     axis, away = (values[1], values[2], values[3]), turn + tilt
@@ -72,13 +74,13 @@ def at_most(values: Floats, n: Vector, w_in: Vector, w_out: Vector, turn: float,
 
 
 @compiled()
-def pdf(values: Floats, n: Vector, cos_out: float, w_out: Vector) -> float:
+def pdf(values: Floats, n: Vector, w_in: Vector, w_out: Vector, cos_in: float, cos_out: float) -> float:
     """Density per solid angle of what `sample` draws, 1/sr."""
     return 0.5 * cos_out * azimuth_sine((values[1], values[2], values[3]), n, w_out)
 
 
 @compiled()
-def sample(values: Floats, n: Vector, u: float, v: float) -> Vector:
+def sample(values: Floats, n: Vector, w_in: Vector, cos_in: float, u: float, v: float) -> Vector:
     """A direction drawn with density `pdf` from (u, v) in the unit square."""
     axis = (values[1], values[2], values[3])
     along = dot(axis, n)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,34 +23,40 @@ from datagen.records.materials import (
 from datagen.transport.brdf import ggx, lambertian, measured_by_angle, oren_nayar, phong, retroreflector, sin_lobe
 
 
-@dataclass(frozen=True)
-class Model:
-    """A kind of BRDF: what is asked of it outside of compiled loops, each by a function of its file.
+class Physics(Protocol):
+    """The file of a kind of BRDF: what is asked of it outside of compiled loops.
 
-    Attributes
-    ----------
-    record : class of its materials.
-    row : the numbers of a material that follow the albedo in its row; None if that material is Lambertian.
-    share : directional albedo of a material of albedo 1, for arrays of the cosine of incidence and the azimuth, rad.
-    lobe_width_rad : half width of a material's narrowest lobe; infinite for none.
+    Every kind but Lambert's law also has `evaluate`, `at_most`, `pdf`, `sample` and `widen` for compiled loops, which
+    `models.py` finds by their names: what they return is told there, and their arguments are the same for all kinds.
     """
 
+    def row(self, material: Any, /) -> tuple[float, ...] | None:
+        """The numbers of a material that follow the albedo in its row; None if that material is Lambertian."""
+
+    def share(self, material: Any, cosine: Floats, azimuth_rad: Floats, /) -> Floats:
+        """Directional albedo of a material of albedo 1, for arrays of the cosine of incidence and the azimuth."""
+
+    def lobe_width_rad(self, material: Any, /) -> float:
+        """Half width of a material's narrowest lobe; infinite for none."""
+
+
+class Model(NamedTuple):
+    """A kind of BRDF: the class of its materials, and the file of its physics."""
+
     record: type[Material]
-    row: Callable[[Any], tuple[float, ...] | None]
-    share: Callable[[Any, Floats, Floats], Floats]
-    lobe_width_rad: Callable[[Any], float]
+    physics: Physics
 
 
-# The number of a kind is its place in MODELS. A new kind goes to the end; `models.py` calls its compiled functions.
-LAMBERTIAN, SIN_LOBE, PHONG, OREN_NAYAR, GGX_LOBE, RETROREFLECTOR, MEASURED_BY_ANGLE = range(7)
+# The number of a kind is its place in MODELS. A new kind goes to the end.
+LAMBERTIAN = 0
 MODELS = (
-    Model(Lambertian, lambertian.row, lambertian.share, lambertian.lobe_width_rad),
-    Model(SinLobe, sin_lobe.row, sin_lobe.share, sin_lobe.lobe_width_rad),
-    Model(Phong, phong.row, phong.share, phong.lobe_width_rad),
-    Model(OrenNayar, oren_nayar.row, oren_nayar.share, oren_nayar.lobe_width_rad),
-    Model(GGX, ggx.row, ggx.share, ggx.lobe_width_rad),
-    Model(Retroreflector, retroreflector.row, retroreflector.share, retroreflector.lobe_width_rad),
-    Model(MeasuredByAngle, measured_by_angle.row, measured_by_angle.share, measured_by_angle.lobe_width_rad),
+    Model(Lambertian, lambertian),
+    Model(SinLobe, sin_lobe),
+    Model(Phong, phong),
+    Model(OrenNayar, oren_nayar),
+    Model(GGX, ggx),
+    Model(Retroreflector, retroreflector),
+    Model(MeasuredByAngle, measured_by_angle),
 )
 
 NARROWEST_ROW = 4
@@ -83,9 +88,9 @@ class MaterialTable:
         return cls(kind if kind.any() else kind.astype(np.uint8), values)
 
 
-def model_of(material: Material) -> Model:
-    """The kind of a material. Raises `InputError` for a material that the transport does not know."""
-    return MODELS[_kind_of(material)]
+def model_of(material: Material) -> Physics:
+    """The physics of a material's kind. Raises `InputError` for a material that the transport does not know."""
+    return MODELS[_kind_of(material)].physics
 
 
 def lobe_width(material: Material) -> float:
@@ -104,5 +109,5 @@ def _kind_of(material: Material) -> int:
 def _kind_and_row(material: Material) -> tuple[int, tuple[float, ...]]:
     """Kind and row of a material; the docstring of each model's file gives the order of its row."""
     kind = _kind_of(material)
-    numbers = MODELS[kind].row(material)
+    numbers = MODELS[kind].physics.row(material)
     return (LAMBERTIAN, (material.albedo,)) if numbers is None else (kind, (material.albedo, *numbers))
