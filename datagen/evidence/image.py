@@ -30,6 +30,7 @@ from datagen.transport.fields_of_view import FovPool, PixelCones, fov_points
 from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.rays import Raycaster, lifted_and_scaled
+from datagen.transport.scene_numbers import SceneNumbers
 from datagen.transport.weights import Brdf, End, brdf_of, weight
 from datagen.units import path_from_time
 
@@ -156,17 +157,17 @@ def evidence_image(
     shown = surface.face >= 0
     if scan_pairs is None or not shown.any():
         return np.zeros(shown.shape, np.float32)
-    scene, lasers, seen = surface.scene, scan_pairs.lasers, scan_pairs.seen
-    materials = MaterialTable.of(scene.materials)
+    lasers, seen = scan_pairs.lasers, scan_pairs.seen
+    materials = MaterialTable.of(surface.scene.materials)
+    scene = SceneNumbers.of(caster, surface.scene, materials, capture.time)
     points = _surface_points(surface, shown)
     bin_m = float(path_from_time(capture.time.width_s))
     first = capture.time.start_s / capture.time.width_s
-    to_unit = np.array([*caster.center, caster.half_extent_m])
     total = np.zeros(len(points.part))
     # One pair after the other, which bounds the memory that its rays take.
     for pair, times in enumerate(scan_pairs.times):
         on_wall, in_view = lasers.part[pair], seen.part[pair, 0]
-        brdfs = [Brdf(materials.kind[k], materials.values[k, 0], k) for k in (on_wall, in_view)]
+        brdfs = [Brdf(scene.kind[k], scene.values[k, 0], k) for k in (on_wall, in_view)]
         x, n1, to_laser = (tuple(of[pair]) for of in (lasers.position, lasers.normal, lasers.to_laser))
         z, n3, to_sensor = (tuple(of[pair, 0]) for of in (seen.position, seen.normal, seen.to_sensor))
         ends = _Ends(
@@ -174,10 +175,8 @@ def evidence_image(
             seen.footprint[pair, 0], seen.weight[pair, 0], lasers.leg[pair] + seen.last_leg[pair, 0],
         )  # fmt: skip
         detections = _unoccluded_detections(
-            points, ends, materials.kind, materials.values, scene.attenuation_per_m,
-            capture.time.origin == "source", detections_per_photon[pair] * times, bin_m,
-            first - scan_pairs.late_bins[pair],
-        )  # fmt: skip
+            points, ends, scene, detections_per_photon[pair] * times, bin_m, first - scan_pairs.late_bins[pair]
+        )
         legs = [(lasers.position[pair], lasers.normal[pair])]
         # A laser point within the footprint lights what the footprint sees: one ray tells for both legs.
         if np.sum((lasers.position[pair] - seen.position[pair, 0]) ** 2) > ends.footprint_m2:
@@ -185,7 +184,7 @@ def evidence_image(
         for end, normal in legs:
             rows = np.flatnonzero(detections > 0)
             if len(rows):
-                spans = _spans(rows, points, end, normal, caster.offset_m, to_unit)
+                spans = _spans(rows, points, end, normal, scene)
                 detections[rows[caster.occluded_scaled(*spans)]] = 0.0
         total += detections
     image = np.zeros(shown.shape, np.float32)
@@ -229,13 +228,11 @@ def _surface_points(surface: HiddenSurface, shown: Bools) -> _Points:
 
 
 @compiled()
-def _unoccluded_detections(  # type: ignore[no-untyped-def]
-    points, ends, kind, values, attenuation, from_source, gain, bin_m, first
-):  # fmt: skip
+def _unoccluded_detections(points, ends, scene, gain, bin_m, first):  # type: ignore[no-untyped-def]
     """(N,) expected detections of the light of each point, if no surface occluded a path.
 
-    kind, values : BRDFs of the parts. from_source : whether the time axis counts the legs to the devices. gain : (T,)
-    detections for a photon in each bin. bin_m, first : path length of a bin, and number of the first bin.
+    scene : `SceneNumbers`. gain : (T,) detections for a photon in each bin. bin_m, first : path length of a bin, and
+    number of the first bin.
     """
     out = np.zeros(len(points.part))
     for i in range(len(out)):
@@ -243,25 +240,24 @@ def _unoccluded_detections(  # type: ignore[no-untyped-def]
         # The side of the surface that the label shows is dark if the laser point lies behind it.
         if dot(subtract(ends.lit_from.point, place), n) <= 0.0:
             continue
-        brdf = brdf_of(kind, values, p)
-        w, r1, r3 = weight(place, n, brdf, ends.lit_from, ends.seen_from, values, ends.footprint_m2, attenuation)
-        arrival = math.floor((r1 + r3 + (ends.legs_m if from_source else 0.0)) / bin_m - first)
+        brdf = brdf_of(scene, p)
+        w, r1, r3 = weight(place, n, brdf, ends.lit_from, ends.seen_from, scene.values, ends.footprint_m2, scene.air)
+        arrival = math.floor((r1 + r3 + (ends.legs_m if scene.from_source else 0.0)) / bin_m - first)
         if w > 0.0 and 0 <= arrival < len(gain):
-            out[i] = (
-                points.area[i] * w * ends.sensor_share * transmittance(attenuation, ends.legs_m) * gain[int(arrival)]
-            )
+            clear = transmittance(scene.air, ends.legs_m)
+            out[i] = points.area[i] * w * ends.sensor_share * clear * gain[int(arrival)]
     return out
 
 
 @compiled()
-def _spans(rows, points, end, normal, offset, to_unit):  # type: ignore[no-untyped-def]
+def _spans(rows, points, end, normal, scene):  # type: ignore[no-untyped-def]
     """(n, 3) origins and spans, in embree's unit frame, of the rays from `end` to the points `rows` (n,)."""
     origins, spans = np.empty((len(rows), 3), np.float32), np.empty((len(rows), 3), np.float32)
     # Both ends are lifted off their surfaces, or single precision would let these occlude the ray.
-    a = lifted_and_scaled(end, normal, offset, to_unit)
+    a = lifted_and_scaled(end, normal, scene.offset, scene.frame)
     for k in range(len(rows)):
         i = rows[k]
-        b = lifted_and_scaled(points.position[i], points.normal[i], offset, to_unit)
+        b = lifted_and_scaled(points.position[i], points.normal[i], scene.offset, scene.frame)
         for j in range(3):
             origins[k, j], spans[k, j] = a[j], b[j] - a[j]
     return origins, spans

@@ -19,27 +19,9 @@ from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import get, subtract, transmittance
 from datagen.transport.rays import lifted_and_scaled
+from datagen.transport.scene_numbers import SceneNumbers
 
 Singles = NDArray[np.float32]
-
-
-class Room(NamedTuple):
-    """The scene and the time axis as plain numbers.
-
-    Attributes
-    ----------
-    frame : (4,) centre and half extent of embree's unit frame, m.
-    offset : height above the surface at which shadow rays begin and end, m.
-    per_metre : sub-bins (`convolution.py`) for each metre of path.
-    device_legs : 1 if the legs from the laser and to the sensor count for the time, else 0.
-    attenuation : of the air, 1/m.
-    """
-
-    frame: Floats
-    offset: float
-    per_metre: float
-    device_legs: float
-    attenuation: float
 
 
 class Points(NamedTuple):
@@ -65,7 +47,14 @@ def _send(origin, span, k, at, to):  # type: ignore[no-untyped-def]
 
 @compiled()
 def arriving_paths(
-    laser: Points, leg: float, lookins: Points, density: Floats, seen: Points, lit: Points, room: Room
+    laser: Points,
+    leg: float,
+    lookins: Points,
+    density: Floats,
+    seen: Points,
+    lit: Points,
+    scene: SceneNumbers,
+    per_metre: float,
 ) -> tuple[Paths, Singles, Singles]:
     """Half paths from one laser point by an observed point into each lookin, a row for each lookin.
 
@@ -74,7 +63,7 @@ def arriving_paths(
 
     laser : its first is the laser point; leg : its distance to the laser, m. density : (n,) expected number of
     lookins per area, 1/m². seen, lit : what rays from each lookin, and for it from the laser point, met, equally many
-    for each lookin.
+    for each lookin. per_metre : sub-bins (`convolution.py`) for each metre of path.
     """
     count = len(lookins.albedo)
     own, lasers = len(seen.albedo) // count, len(lit.albedo) // count
@@ -82,10 +71,10 @@ def arriving_paths(
     first, position, energy = np.zeros(count + 1, np.int64), np.empty(size), np.empty(size)
     origin, span = np.empty((size, 3), np.float32), np.empty((size, 3), np.float32)
     x1, normal_1 = get(laser.position, 0, 0), get(laser.normal, 0, 0)
-    from_1 = lifted_and_scaled(x1, normal_1, room.offset, room.frame)
+    from_1 = lifted_and_scaled(x1, normal_1, scene.offset, scene.frame)
     for n in range(count):
         b, normal_b = get(lookins.position, n, 0), get(lookins.normal, n, 0)
-        from_b = lifted_and_scaled(b, normal_b, room.offset, room.frame)
+        from_b = lifted_and_scaled(b, normal_b, scene.offset, scene.frame)
         # The BRDFs ρ/π of laser point and lookin; that of the observed point and a factor π follow.
         albedos = laser.albedo[0] * lookins.albedo[n] / (math.pi * math.pi)
         for k in range(own + lasers):
@@ -113,9 +102,9 @@ def arriving_paths(
                 continue
             # The leg from the laser always attenuates, but counts for the time only with the time origin `source`.
             length = math.sqrt(square_1) + math.sqrt(square_b)
-            energy[filled] = value * transmittance(room.attenuation, leg + length)
-            position[filled] = (length + room.device_legs * leg) * room.per_metre
-            _send(origin, span, filled, at, lifted_and_scaled(o, normal_o, room.offset, room.frame))
+            energy[filled] = value * transmittance(scene.air, leg + length)
+            position[filled] = (length + scene.from_source * leg) * per_metre
+            _send(origin, span, filled, at, lifted_and_scaled(o, normal_o, scene.offset, scene.frame))
             filled += 1
         first[n + 1] = filled
     return Paths(first, position[:filled], energy[:filled]), origin[:filled], span[:filled]

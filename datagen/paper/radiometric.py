@@ -28,18 +28,19 @@ import numpy as np
 
 from datagen.errors import InputError
 from datagen.paper.convolution import SUB_BINS, Paths, convolve, keep_strongest
-from datagen.paper.half_paths import Points, Room, arriving_paths
+from datagen.paper.half_paths import Points, arriving_paths
 from datagen.records import Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.checks import check_integer, check_kind, check_seed
 from datagen.seeding import LightStream
-from datagen.transport.brdf import cosine_directions
+from datagen.transport.brdf import MaterialTable, cosine_directions
 from datagen.transport.coincidence import set_apart
 from datagen.transport.fields_of_view import PixelCones, fov_points
 from datagen.transport.flood import as_scan, sum_of_flood
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.rays import Raycaster
 from datagen.transport.sampling import scrambled_sobol, stream_seeds
+from datagen.transport.scene_numbers import SceneNumbers
 from datagen.units import path_from_time
 
 FOV_POINTS = 16
@@ -128,7 +129,10 @@ class FovPoints(NamedTuple):
 
 @dataclass(frozen=True)
 class _Scheme:
-    """A secondary that is being computed. points : of the laser. albedo : (K,) of each part."""
+    """A secondary that is being computed.
+
+    points : of the laser. albedo : (K,) of each part. per_metre : sub-bins for each metre of path.
+    """
 
     scene: Scene
     capture: Capture
@@ -136,7 +140,8 @@ class _Scheme:
     cones: PixelCones
     points: LaserPoints
     albedo: Floats
-    room: Room
+    scene_numbers: SceneNumbers
+    per_metre: float
     observed: int
     strongest: int | None
     seed: int
@@ -144,13 +149,11 @@ class _Scheme:
     @classmethod
     def of(cls, scene: Scene, capture: Capture, observed: int, strongest: int | None, seed: int) -> _Scheme:
         caster, axis = Raycaster(scene), capture.time
-        room = Room(
-            np.array([*caster.center, caster.half_extent_m]), caster.offset_m,
-            SUB_BINS / float(path_from_time(axis.width_s)), float(axis.origin == "source"), scene.attenuation_per_m,
-        )  # fmt: skip
+        scene_numbers = SceneNumbers.of(caster, scene, MaterialTable.of(scene.materials), axis)
+        per_metre = SUB_BINS / float(path_from_time(axis.width_s))
         albedo = np.array([float(material.albedo) for material in scene.materials])
         cones, points = PixelCones.of(capture.sensor), LaserPoints.of(caster, scene, capture.laser)
-        return cls(scene, capture, caster, cones, points, albedo, room, observed, strongest, seed)
+        return cls(scene, capture, caster, cones, points, albedo, scene_numbers, per_metre, observed, strongest, seed)
 
     def add_lookins(self, light: Floats, lasers: Ints, pixels: Ints, numbers: Floats, first: int) -> None:
         """Add to `light`, times the number of all lookins, the paths from `lasers` to `pixels` by some lookins.
@@ -174,7 +177,7 @@ class _Scheme:
             x1 = Points(self.points.position[each], self.points.normal[each], self.albedo[self.points.part[each]])
             lit = self.observed_from(x1, numbers[:, 6:], by_laser, LightStream.FACTORISED_LIT, first, laser)
             leg = float(self.points.leg[laser])
-            arriving, *rays = arriving_paths(x1, leg, lookins, density, seen, lit, self.room)
+            arriving, *rays = arriving_paths(x1, leg, lookins, density, seen, lit, self.scene_numbers, self.per_metre)
             arriving.energy[self.caster.occluded_scaled(*rays)] = 0.0
             if self.strongest is not None:
                 keep_strongest(arriving, self.strongest)
@@ -215,12 +218,12 @@ class _Scheme:
 
         The lookin's BRDF is not among the factors: it is constant, and `arriving_paths` multiplies by it.
         """
-        room, axis = self.room, self.capture.time
+        scene, axis = self.scene_numbers, self.capture.time
         form, r = self.form(lookins.position[:, None, None], lookins.normal[:, None, None], fov.position, fov.normal)
-        energy = fov.weight * form * np.exp(-room.attenuation * (r + fov.last_leg))
+        energy = fov.weight * form * np.exp(-scene.air * (r + fov.last_leg))
         # The displaced sub-bins of `convolve` need the length to the centre of the window's first sub-bin.
         start = SUB_BINS * axis.start_s / axis.width_s + 0.5
-        position = (r + room.device_legs * fov.last_leg) * room.per_metre - start
+        position = (r + scene.from_source * fov.last_leg) * self.per_metre - start
         first = np.arange(0, form.size + 1, FOV_POINTS)
         return Paths(first, position.ravel(), energy.ravel()), (fov.share * form).sum(axis=(1, 2)) / np.pi
 

@@ -67,24 +67,16 @@ PILOT = 64
 """Fewest blocks of a pilot, over all groups and replicates."""
 
 
-class World(NamedTuple):
-    """What the compiled loops need to know of materials, air, embree and time.
+class Bins(NamedTuple):
+    """Where light of a path goes in the histograms of a group.
 
-    kind, values : the `MaterialTable`. air : attenuation, 1/m. offset : by which ends of rays are lifted off their
-    surfaces, m. frame : embree's centre and half extent, m. per_metre, start : bins of a metre of path, and the first
-    bin. is_confocal : whether pixel i looks at laser point i. is_flood : whether all laser points of a group share
-    the histograms of its pixels.
+    per_metre, start : bins of a metre of path, and the first bin. stride : rows from one laser point to the next, 0
+    where all laser points share the histograms of the pixels, −1 where pixel i looks at laser point i.
     """
 
-    kind: Ints
-    values: Floats
-    air: float
-    offset: float
-    frame: tuple[float, ...]
     per_metre: float
     start: float
-    is_confocal: bool
-    is_flood: bool
+    stride: int
 
 
 class Ends(NamedTuple):
@@ -199,7 +191,7 @@ def _met_by(ends, e, i):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _rays(world, ends, u, origin, normal, direction):  # type: ignore[no-untyped-def]
+def _rays(scene, ends, u, origin, normal, direction):  # type: ignore[no-untyped-def]
     """BRDF rays from random ends of the group, ray i from set i of FoV points; returns which exist.
 
     u : (n, 3) random numbers.
@@ -217,7 +209,7 @@ def _rays(world, ends, u, origin, normal, direction):  # type: ignore[no-untyped
         if found[i]:
             k = ends.part[e]
             w = sample(
-                world.kind[k], world.values[k], get(ends.normal, e, 0), get(ends.back, e, 0), u[i, 1], u[i, 2]
+                scene.kind[k], scene.values[k], get(ends.normal, e, 0), get(ends.back, e, 0), u[i, 1], u[i, 2]
             )  # fmt: skip
         put(origin, i, 0, get(ends.position, e, 0))
         put(normal, i, 0, get(ends.normal, e, 0))
@@ -226,7 +218,7 @@ def _rays(world, ends, u, origin, normal, direction):  # type: ignore[no-untyped
 
 
 @compiled()
-def _rays_onward(world, ends, x, u, normal, direction):  # type: ignore[no-untyped-def]
+def _rays_onward(scene, ends, x, u, normal, direction):  # type: ignore[no-untyped-def]
     """BRDF rays on from vertices, of light from an end that is chosen by its share of the mixture; returns which
     exist."""
     found = np.zeros(len(u), np.bool_)
@@ -248,7 +240,7 @@ def _rays_onward(world, ends, x, u, normal, direction):  # type: ignore[no-untyp
             a = _toward(get(x.position, i, 0), get(ends.position, _met_by(ends, e, i), 0))[0]
         if dot(n, a) < 0:
             n = (-n[0], -n[1], -n[2])
-        w = sample(world.kind[x.part[i]], world.values[x.part[i]], n, a, u[i, 0], u[i, 1])
+        w = sample(scene.kind[x.part[i]], scene.values[x.part[i]], n, a, u[i, 0], u[i, 1])
         found[i] = dot(w, n) > 0
         put(direction, i, 0, w)
         put(normal, i, 0, n)
@@ -275,7 +267,7 @@ def _landings(y, z, row, area):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _light(world, ends, x, origin, span, of):  # type: ignore[no-untyped-def]
+def _light(scene, ends, x, origin, span, of):  # type: ignore[no-untyped-def]
     """Lights dark vertices x as if nothing stood between, and sets shadow rays for legs that may carry light; returns
     their number.
 
@@ -291,17 +283,17 @@ def _light(world, ends, x, origin, span, of):  # type: ignore[no-untyped-def]
             q, m = get(ends.position, e, 0), get(ends.normal, e, 0)
             v, r = _toward(q, p)
             up, down = dot(m, v), -dot(n, v)
-            if up <= 0.0 or down == 0.0 or r < NEAREST * world.frame[3]:
+            if up <= 0.0 or down == 0.0 or r < NEAREST * scene.frame[3]:
                 continue
-            k, row, back = world.kind[ends.part[e]], world.values[ends.part[e]], get(ends.back, e, 0)
-            x.light[i, h] = evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e] * math.exp(-world.air * r)
+            k, row, back = scene.kind[ends.part[e]], scene.values[ends.part[e]], get(ends.back, e, 0)
+            x.light[i, h] = evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e] * math.exp(-scene.air * r)
             x.landing[i, h] = _landing(ends.area[e], up, down, r)
             x.density[i, h] = pdf(k, row, m, back, v) * down / r**2
             x.path[i, h] = r + ends.leg[e]
             if x.density[i, h] != 0.0 or x.light[i, h] != 0.0:
                 # Light may come to either side of the vertex; the ray has to begin on the same.
-                a = lifted_and_scaled(p, n, math.copysign(world.offset, down), world.frame)
-                write_shadow_ray(origin, span, rays, a, lifted_and_scaled(q, m, world.offset, world.frame))
+                a = lifted_and_scaled(p, n, math.copysign(scene.offset, down), scene.frame)
+                write_shadow_ray(origin, span, rays, a, lifted_and_scaled(q, m, scene.offset, scene.frame))
                 of[rays] = i * count + h
                 rays += 1
     return rays
@@ -320,10 +312,10 @@ def _without_hidden(x, chance, hidden, of):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _sent_toward(world, ends, x, i, v, side, out):  # type: ignore[no-untyped-def]
+def _sent_toward(scene, ends, x, i, v, side, out):  # type: ignore[no-untyped-def]
     """Sets out (N,) to each end's light times the BRDF of vertex i towards v, and returns the mixture's density there
     times that of going on so, 1/(m² sr)."""
-    n, k, row, count, density = get(x.normal, i, 0), world.kind[x.part[i]], world.values[x.part[i]], len(out), 0.0
+    n, k, row, count, density = get(x.normal, i, 0), scene.kind[x.part[i]], scene.values[x.part[i]], len(out), 0.0
     if side == 0:
         n = (-n[0], -n[1], -n[2])
     if x.has_history[i]:
@@ -400,7 +392,7 @@ def _guesses(x, y, draws, onward, out):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _chosen(world, x, y, guess, full, u, pairs, origin, span):  # type: ignore[no-untyped-def]
+def _chosen(scene, x, y, guess, full, u, pairs, origin, span):  # type: ignore[no-untyped-def]
     """Systematic choice of pairs with chances min(guess / full, 1), and their shadow rays; returns their number.
 
     x, y : sketches. pairs : (2, k) set to the vertices of each pair. u : a random number.
@@ -413,8 +405,8 @@ def _chosen(world, x, y, guess, full, u, pairs, origin, span):  # type: ignore[n
                 run -= 1.0
                 p, q, n, m = get(x.position, i, 0), get(y.position, j, 0), get(x.normal, i, 0), get(y.normal, j, 0)
                 v = _toward(p, q)[0]
-                a = lifted_and_scaled(p, n, math.copysign(world.offset, dot(n, v)), world.frame)
-                b = lifted_and_scaled(q, m, math.copysign(world.offset, -dot(m, v)), world.frame)
+                a = lifted_and_scaled(p, n, math.copysign(scene.offset, dot(n, v)), scene.frame)
+                b = lifted_and_scaled(q, m, math.copysign(scene.offset, -dot(m, v)), scene.frame)
                 write_shadow_ray(origin, span, count, a, b)
                 pairs[0, count], pairs[1, count] = i, j
                 count += 1
@@ -425,8 +417,8 @@ def _chosen(world, x, y, guess, full, u, pairs, origin, span):  # type: ignore[n
 def _spread(of_x, of_y, time_x, time_y, g, between, stride, light, place, histogram):  # type: ignore[no-untyped-def]
     """Adds the light of_x · of_y · g of every pair of ends to the bin of its arrival.
 
-    The first column of the histogram is what comes before the window, the last what comes after. stride : rows from
-    one laser point to the next, −1 where pixel i looks at laser point i. light, place : room for N values.
+    The first column of the histogram is what comes before the window, the last what comes after. stride : of
+    `Bins`. light, place : arrays of N values to work in.
     """
     last = np.float32(histogram.shape[1] - 1)
     if stride < 0:
@@ -461,15 +453,15 @@ def _shared(y, chance, j, onward, rest, light, out):  # type: ignore[no-untyped-
 
 
 @compiled()
-def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram):  # type: ignore[no-untyped-def]
+def _tally(scene, bins, front, back, x, y, sketches, odds, pairs, hidden, histogram):  # type: ignore[no-untyped-def]
     """Adds the light of all pairs of ends, `front` and `back`, by way of pairs of vertices (2, k), of which some are
     hidden (k,) from each other, to the histogram (H, T + 2)."""
     N, M, onward = x.light.shape[1], y.light.shape[1], odds.onward
     own_x, own_y = np.empty(N, np.float32), np.empty(M, np.float32)
     light, place = np.empty(max(N, M), np.float32), np.empty(max(N, M), np.int32)
-    time_x, time_y = x.path * np.float32(world.per_metre), y.path * np.float32(world.per_metre)
-    sent_x, simple_x = _sent_by_lambertian(world.kind, world.values, x.part, x.light)
-    sent_y, simple_y = _sent_by_lambertian(world.kind, world.values, y.part, y.light)
+    time_x, time_y = x.path * np.float32(bins.per_metre), y.path * np.float32(bins.per_metre)
+    sent_x, simple_x = _sent_by_lambertian(scene.kind, scene.values, x.part, x.light)
+    sent_y, simple_y = _sent_by_lambertian(scene.kind, scene.values, y.part, y.light)
     # Few vertices are so near to a pixel that a ray of theirs might land in it.
     touches = np.array([row.max() > 0.0 for row in y.landing])
     for k in range(len(hidden)):
@@ -484,9 +476,9 @@ def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram): 
         from_x, from_y = sent_x[i, side_x], sent_y[j, side_y]
         # Lambertian vertices, most of all, need no BRDF for each end.
         if not simple_x[i]:
-            onto_y, from_x = _sent_toward(world, front, x, i, v, side_x, own_x), own_x
+            onto_y, from_x = _sent_toward(scene, front, x, i, v, side_x, own_x), own_x
         if not simple_y[j]:
-            onto_x, from_y = _sent_toward(world, back, y, j, (-v[0], -v[1], -v[2]), side_y, own_y), own_y
+            onto_x, from_y = _sent_toward(scene, back, y, j, (-v[0], -v[1], -v[2]), side_y, own_y), own_y
         mixed_x, mixed_y = x.mixed[i, 0] + x.mixed[i, 1], y.mixed[j, 0] + y.mixed[j, 1]
         expected = min(chance, 1.0) * odds.draws * mixed_x * mixed_y
         # A vertex x with a history was not found from y, and no x was found from a y whose ray landed.
@@ -500,15 +492,14 @@ def _tally(world, front, back, x, y, sketches, odds, pairs, hidden, histogram): 
                     rest += rays * abs(up * down) / math.pi
                 _shared(y, back.chance, j, rays * onto_y * abs(down), rest, from_y, own_y)
                 from_y = own_y
-            g = np.float32(abs(up * down) / r**2 * math.exp(-world.air * r) / expected)
+            g = np.float32(abs(up * down) / r**2 * math.exp(-scene.air * r) / expected)
             # One more bin, as the first column is what comes before the window.
-            between = np.float32(r * world.per_metre - world.start + 1.0)
-            stride = -1 if world.is_confocal else 0 if world.is_flood else M
-            _spread(from_x, from_y, time_x[i], time_y[j], g, between, stride, light, place, histogram)
+            between = np.float32(r * bins.per_metre - bins.start + 1.0)
+            _spread(from_x, from_y, time_x[i], time_y[j], g, between, bins.stride, light, place, histogram)
 
 
 @compiled()
-def _carry(world, ends, x, onward, y, power):  # type: ignore[no-untyped-def]
+def _carry(scene, ends, x, onward, y, power):  # type: ignore[no-untyped-def]
     """Lights dark vertices y, at the end of one ray from each x, over the density of drawing them and their number;
     sets power (n,) to the sum of their light."""
     sent = np.empty(y.light.shape[1], np.float32)
@@ -518,10 +509,10 @@ def _carry(world, ends, x, onward, y, power):  # type: ignore[no-untyped-def]
             continue
         v, r = _toward(get(x.position, i, 0), get(y.position, i, 0))
         up, down = dot(get(x.normal, i, 0), v), -dot(get(y.normal, i, 0), v)
-        density = onward * _sent_toward(world, ends, x, i, v, 1 if up > 0 else 0, sent)
+        density = onward * _sent_toward(scene, ends, x, i, v, 1 if up > 0 else 0, sent)
         if density > 0:
             for e in range(len(sent)):
-                y.light[i, e] = math.copysign(sent[e] * abs(up) * math.exp(-world.air * r) / density, down)
+                y.light[i, e] = math.copysign(sent[e] * abs(up) * math.exp(-scene.air * r) / density, down)
                 y.path[i, e] = x.path[i, e] + r
                 power[i] += abs(y.light[i, e])
             put(y.came_from, i, 0, (-v[0], -v[1], -v[2]))
@@ -557,18 +548,16 @@ class Blocks:
     def __init__(self, problem: Problem) -> None:
         self.problem, self.caster, capture = problem, problem.caster, problem.capture
         axis, points, P = capture.time, problem.points, len(capture.sensor.pixels)
-        self.world = World(
-            problem.materials.kind.astype(np.int64), problem.materials.values,
-            float(problem.scene.attenuation_per_m), self.caster.offset_m,
-            (*self.caster.center, self.caster.half_extent_m), 1.0 / float(path_from_time(axis.width_s)),
-            axis.start_s / axis.width_s, capture.pairing == "confocal", capture.illumination == "flood",
-        )  # fmt: skip
+        # Kinds of one type, so that kernels are compiled once, whether or not all parts of a scene are Lambertian.
+        self.scene = problem.numbers._replace(kind=problem.materials.kind.astype(np.int64))
+        self.per_metre, self.start = 1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s
+        self.is_confocal, self.is_flood = capture.pairing == "confocal", capture.illumination == "flood"
         exists = points.part >= 0
         leg = np.where(exists, points.leg, 0.0)
         self.lasers = Ends(
             np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            np.where(exists, problem.pairs.share * np.exp(-self.world.air * leg), 0.0),
-            leg * (axis.origin == "source"),
+            np.where(exists, problem.pairs.share * np.exp(-self.scene.air * leg), 0.0),
+            leg * self.scene.from_source,
             np.zeros(len(leg)), np.ones(len(leg)),
         )  # fmt: skip
         self.unit = 1.0
@@ -576,11 +565,11 @@ class Blocks:
         self.unit = float(middle.gain.max()) or 1.0
         size = GROUP[capture.pairing]
         of_lasers = _neighbours(self.lasers.position, size)
-        if self.world.is_confocal:
+        if self.is_confocal:
             self.groups = [Group(some, some, some) for some in of_lasers]
         else:
             self.groups = [
-                Group(some, pixels, pixels if self.world.is_flood else (some[:, None] * P + pixels).ravel())
+                Group(some, pixels, pixels if self.is_flood else (some[:, None] * P + pixels).ravel())
                 for pixels in _neighbours(middle.position, size)
                 for some in of_lasers
             ]
@@ -598,8 +587,8 @@ class Blocks:
             return np.ascontiguousarray(values.swapaxes(0, 1)).reshape(-1, *values.shape[2:])
 
         leg = np.where(found.part >= 0, found.last_leg, 0.0)
-        gain = np.where(found.part >= 0, found.weight * np.exp(-self.world.air * leg) / self.unit, 0.0)
-        leg *= self.problem.capture.time.origin == "source"
+        gain = np.where(found.part >= 0, found.weight * np.exp(-self.scene.air * leg) / self.unit, 0.0)
+        leg *= self.scene.from_source
         back = np.broadcast_to(found.to_sensor, found.position.shape)
         arrays = found.position, found.normal, back, found.part, gain, leg, found.footprint
         return Ends._make([*map(in_sets, arrays), np.empty(0)])
@@ -631,9 +620,9 @@ class BlocksOf:
         are laser points.
         """
         by_laser = by_pixel = error
-        if self.blocks.world.is_flood:
+        if self.blocks.is_flood:
             by_laser = np.ones(len(self.blocks.groups[group].lasers))
-        elif not self.blocks.world.is_confocal:
+        elif not self.blocks.is_confocal:
             table = error.reshape(len(self.blocks.groups[group].lasers), -1)
             by_laser, by_pixel = table.sum(axis=1), table.sum(axis=0)
         self.chances[group] = _chances(by_laser), _chances(by_pixel)
@@ -666,7 +655,7 @@ class _Block:
         self, source: BlocksOf, group: int, rng: np.random.Generator, histogram: Floats32,
         full: dict[int, float] | None,
     ) -> None:  # fmt: skip
-        self.blocks, self.group, self.world = source.blocks, source.blocks.groups[group], source.blocks.world
+        self.blocks, self.group, self.scene = source.blocks, source.blocks.groups[group], source.blocks.scene
         self.caster, self.rng, self.histogram, self.cost = source.blocks.caster, rng, histogram, 0.0
         self.full, self.is_measuring = ({}, True) if full is None else (full, False)
         L, P = len(self.group.lasers), len(self.group.pixels)
@@ -711,13 +700,13 @@ class _Block:
     def drawn(self, ends: Ends) -> Vertices:
         """VERTICES vertices from the mixture of the BRDFs at some ends."""
         origin, normal, direction = np.empty((3, VERTICES, 3))
-        found = _rays(self.world, ends, self.rng.random((VERTICES, 3)), origin, normal, direction)
+        found = _rays(self.scene, ends, self.rng.random((VERTICES, 3)), origin, normal, direction)
         return self.met(origin, normal, direction, found)
 
     def onward(self, ends: Ends, x: Lit) -> Vertices:
         """Where a BRDF ray from each vertex lands."""
         normal, direction = np.zeros((2, len(x.part), 3))
-        found = _rays_onward(self.world, ends, x, self.rng.random((len(x.part), 3)), normal, direction)
+        found = _rays_onward(self.scene, ends, x, self.rng.random((len(x.part), 3)), normal, direction)
         return self.met(x.position, normal, direction, found)
 
     def met(self, origin: Floats, normal: Floats, direction: Floats, found: Bools) -> Vertices:
@@ -731,7 +720,7 @@ class _Block:
         """Vertices with the light of some ends."""
         x, n = Lit.dark(at, len(ends.chance)), len(at.part) * len(ends.chance)
         (origin, span), of = np.empty((2, n, 3), np.float32), np.empty(n, np.int64)
-        rays = _light(self.world, ends, x, origin, span, of)
+        rays = _light(self.scene, ends, x, origin, span, of)
         _without_hidden(x, ends.chance, self.hidden(origin[:rays], span[:rays]), of)
         return x
 
@@ -770,7 +759,7 @@ class _Block:
     def next(self, x: Lit, onward: int, at: Vertices, order: int) -> Lit:
         """The vertices found from x as front vertices of paths of `order` bounces, with all light that they got."""
         y, power = Lit.dark(at, x.light.shape[1]), np.zeros(len(at.part))
-        _carry(self.world, self.front, x, float(onward), y, power)
+        _carry(self.scene, self.front, x, float(onward), y, power)
         stays, light = power > 0, y.light
         if order > 5:
             chance = np.clip(power / np.maximum(np.abs(x.light).sum(axis=1), TINY), *SURVIVAL)
@@ -786,7 +775,7 @@ class _Block:
 
         n : number of x that come from the mixture. found : vertices of the other pairs, which see each other.
         """
-        values = self.world.values
+        values = self.scene.values
         sketches = (
             Sketch(x.position, x.normal, x.mixed, _brightness(values, x)),
             Sketch(y.position, y.normal, y.mixed, _brightness(values, y)),
@@ -800,12 +789,14 @@ class _Block:
         # The measuring block may have met hardly any light: then all pairs are certain.
         most = int(min(total / full, n * VERTICES)) + 2
         pairs, (origin, span) = np.empty((2, most), np.int64), np.empty((2, most, 3), np.float32)
-        k = _chosen(self.world, *sketches, guess, full, self.rng.random(), pairs, origin, span)
+        k = _chosen(self.scene, *sketches, guess, full, self.rng.random(), pairs, origin, span)
         hidden = np.concatenate([self.hidden(origin[:k], span[:k]), np.zeros(len(found[0]), np.bool_)])
         self.cost += ADDED * len(hidden) * len(self.histogram)
         odds = Odds(draws, float(onward), full, draws * wanted / (n * VERTICES))
-        pairs = np.hstack([pairs[:, :k], found])
-        _tally(self.world, self.front, self.back, x, y, sketches, odds, pairs, hidden, self.histogram)
+        pairs, blocks = np.hstack([pairs[:, :k], found]), self.blocks
+        stride = -1 if blocks.is_confocal else 0 if blocks.is_flood else y.light.shape[1]
+        bins = Bins(blocks.per_metre, blocks.start, stride)
+        _tally(self.scene, bins, self.front, self.back, x, y, sketches, odds, pairs, hidden, self.histogram)
 
     def guess_of_certain_pairs(self, order: int, here: float) -> float:
         """The guess from which on pairs are certain for `order`; `here` is what suits this block."""

@@ -33,6 +33,7 @@ from datagen.transport.geometry import (
     transmittance,
 )
 from datagen.transport.laser_points import LaserPoints
+from datagen.transport.scene_numbers import SceneNumbers
 from datagen.transport.weights import Brdf, End, brdf_of
 
 COARSEST = 1.2
@@ -55,7 +56,7 @@ BACK = 0.02
 BLACK = 1e-3
 """BRDF that a cluster of FoV points is taken for at least, as its points may be of several materials, 1/sr."""
 STACK = 4096
-"""Room for what waits: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
+"""Most that may wait: boxes are divided 128 times at most, triangles some 54 times, clusters four."""
 
 
 class Waiting(IntEnum):
@@ -74,21 +75,18 @@ class Verdict(IntEnum):
     SAMPLE = 3
 
 
-class Room(NamedTuple):
-    """What all pairs share.
+class CutSetup(NamedTuple):
+    """What all pairs of laser point and pixel share.
 
-    tree : of boxes of triangles. kind, values : of the materials. peak, lobe : (K,) largest BRDF of each part, 1/sr,
-    and half width of its narrowest lobe, rad. outer : (K,) 1 for closed meshes whose normals point outward, −1
-    inward, 0 for other meshes. lasers, power : laser points, and the share of light that air lets through to them.
-    per_metre, start, bins : bins of a metre of path, number of the first bin, and of all bins. device : whether the
-    legs to laser and sensor count. air : attenuation, 1/m. plane : distance within which a point lies on a plane, m.
-    smallest : side of the smallest piece that is cut, m. frame, offset : of embree, and by how much rays begin off
-    their surfaces, m.
+    scene : its numbers. tree : of boxes of triangles. peak, lobe : (K,) largest BRDF of each part, 1/sr, and half
+    width of its narrowest lobe, rad. outer : (K,) 1 for closed meshes whose normals point outward, −1 inward, 0 for
+    other meshes. lasers, power : laser points, and the share of light that air lets through to them. per_metre,
+    start, bins : bins of a metre of path, number of the first bin, and of all bins. plane : distance within which a
+    point lies on a plane, m. smallest : side of the smallest piece that is cut, m.
     """
 
+    scene: SceneNumbers
     tree: Hierarchy
-    kind: Ints | NDArray[np.uint8]
-    values: Floats
     peak: Floats
     lobe: Floats
     outer: Floats
@@ -97,16 +95,12 @@ class Room(NamedTuple):
     per_metre: float
     start: float
     bins: float
-    device: bool
-    air: float
     plane: float
     smallest: float
-    frame: Floats
-    offset: float
 
 
 class Surface(NamedTuple):
-    """The part that is cut: its BRDF, and `outer`, `peak` and `lobe` of `Room`."""
+    """The part that is cut: its BRDF, and `outer`, `peak` and `lobe` of `CutSetup`."""
 
     brdf: Brdf
     outer: float
@@ -136,8 +130,8 @@ class Cluster(NamedTuple):
 
 
 class Way(NamedTuple):
-    """What a guess of light needs: the part that is cut, the laser point, the cluster; `values`, `air` and `plane` of
-    `Room`."""
+    """What a guess of light needs: the part that is cut, the laser point, the cluster; `values` and `air` of
+    `SceneNumbers`, and `plane` of `CutSetup`."""
 
     surface: Surface
     lit: End
@@ -192,14 +186,14 @@ class Walk(NamedTuple):
 
 
 @compiled(forceinline=True, allocates=False)
-def cluster_of(room, pool, p, c, power):  # type: ignore[no-untyped-def]
+def cluster_of(setup, pool, p, c, power):  # type: ignore[no-untyped-def]
     """Cluster c of pixel p, lit with some power."""
     row = pool.cluster[p, c]
     one = int(row[10])
     k = pool.part[one]
     return Cluster(
         get(pool.cluster[p], c, 0), get(pool.cluster[p], c, 3), row[6], row[7], row[8], power * row[9], one,
-        get(pool.to_sensor, one, 0), brdf_of(room.kind, room.values, k), room.lobe[k],
+        get(pool.to_sensor, one, 0), brdf_of(setup.scene, k), setup.lobe[k],
     )  # fmt: skip
 
 
@@ -302,13 +296,13 @@ def _light_of_box(tree, at, way):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _may_arrive(early, late, room):  # type: ignore[no-untyped-def]
+def _may_arrive(early, late, setup):  # type: ignore[no-untyped-def]
     """Whether light on paths of some lengths, metres, may arrive within the window."""
-    return late * room.per_metre > room.start and early * room.per_metre < room.start + room.bins
+    return late * setup.per_metre > setup.start and early * setup.per_metre < setup.start + setup.bins
 
 
 @compiled(forceinline=True, allocates=False)
-def judge_box(tree, at, enough, leg, room, way):  # type: ignore[no-untyped-def]
+def judge_box(tree, at, enough, leg, setup, way):  # type: ignore[no-untyped-def]
     """Box `at` as a `Piece`, where elements bring at most `enough` photons.
 
     leg : from the laser and to the sensor, metres.
@@ -319,7 +313,7 @@ def judge_box(tree, at, enough, leg, room, way):  # type: ignore[no-untyped-def]
     m, r = bounding_sphere(tree.box, at)
     middle = distance(m, way.lit.point) + distance(m, way.seen.middle) + leg
     off = 2.0 * (r + way.seen.size)
-    is_inside = _may_arrive(middle - off, middle + off, room)
+    is_inside = _may_arrive(middle - off, middle + off, setup)
     # What is near is cut wherever its light arrives.
     is_cut = light == np.inf or (is_inside and way.seen.gain * light > enough)
     return Piece(Verdict.HALVES if is_cut else Verdict.SAMPLE, light, 1.0, 1.0, 0.0, 0.0, is_inside, 0.0)
@@ -339,9 +333,9 @@ def _set_corner(piece, top, v, y, n, way):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def open_box(walk, top, room, way):  # type: ignore[no-untyped-def]
+def open_box(walk, top, setup, way):  # type: ignore[no-untyped-def]
     """Lets the halves of the box at `top` wait in its place, or its triangles; returns the new top."""
-    tag, tree = walk.tag, room.tree
+    tag, tree = walk.tag, setup.tree
     at, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4]
     if tree.children[at, 0] >= 0:
         push(tag, top, Waiting.BOX, tree.children[at, 0], c, q, many)
@@ -357,7 +351,7 @@ def open_box(walk, top, room, way):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def open_cluster(walk, top, n, room, pool, p, power, way):  # type: ignore[no-untyped-def]
+def open_cluster(walk, top, n, setup, pool, p, power, way):  # type: ignore[no-untyped-def]
     """Lets the piece at `top`, with normal n, wait with each quarter of its cluster; returns the new top."""
     tag, piece = walk.tag, walk.piece
     f, c, q, many = tag[top, 1], tag[top, 2], tag[top, 3], tag[top, 4] // 4
@@ -366,7 +360,7 @@ def open_cluster(walk, top, n, room, pool, p, power, way):  # type: ignore[no-un
         inner = 4 * c + 1 + j
         if pool.cluster[p, inner, 9] > 0.0:
             push(tag, top, Waiting.PIECE, f, inner, q + j * many, many)
-            inner_way = way_to(way, cluster_of(room, pool, p, inner, power))
+            inner_way = way_to(way, cluster_of(setup, pool, p, inner, power))
             for v in range(3):
                 y = y0 if v == 0 else y1 if v == 1 else y2
                 _set_corner(piece, top, v, y, n, inner_way)
@@ -412,7 +406,7 @@ def _is_hidden(y0, y1, y2, n, lit, seen, plane):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def judge(walk, top, n, delta, error, straight, leg, last_leg, room, way):  # type: ignore[no-untyped-def]
+def judge(walk, top, n, delta, error, straight, leg, last_leg, setup, way):  # type: ignore[no-untyped-def]
     """The `Piece` at `top`, with normal n, where elements bring at most δ photons.
 
     error : L2 error that is asked of a histogram, photons. straight : of `Asked`. leg, last_leg : from the laser, and
@@ -421,11 +415,11 @@ def judge(walk, top, n, delta, error, straight, leg, last_leg, room, way):  # ty
     surface, lit, seen = way.surface, way.lit, way.seen
     piece, x, z, size, lobe = walk.piece, lit.point, seen.middle, seen.size, min(surface.lobe, seen.lobe)
     y0, y1, y2 = get(piece, top, 0), get(piece, top, 3), get(piece, top, 6)
-    if _is_hidden(y0, y1, y2, n, lit, seen, room.plane):
+    if _is_hidden(y0, y1, y2, n, lit, seen, setup.plane):
         return Piece(Verdict.NOTHING, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
     m = ((y0[0] + y1[0] + y2[0]) / 3, (y0[1] + y1[1] + y2[1]) / 3, (y0[2] + y1[2] + y2[2]) / 3)
     h, d1, d3 = longest(y0, y1, y2)[1], distance(m, x), distance(m, z)
-    may_open, may_halve = walk.tag[top, 4] > 1, h > room.smallest
+    may_open, may_halve = walk.tag[top, 4] > 1, h > setup.smallest
     # Over a cluster the light must be linear.
     if may_open and size > COARSEST_CLUSTER * lobe * d3 and size > 0.5 * lobe * h:
         return Piece(Verdict.QUARTERS_OF_CLUSTER, 0.0, 0.0, 1.0, 0.0, 0.0, False, 0.0)
@@ -433,8 +427,8 @@ def judge(walk, top, n, delta, error, straight, leg, last_leg, room, way):  # ty
         piece[top, 12] + distance(y0, z), piece[top, 13] + distance(y1, z), piece[top, 14] + distance(y2, z),
     )  # fmt: skip
     late, early, middle = max(t0, t1, t2), min(t0, t1, t2), d1 + d3
-    leg += last_leg if room.device else 0.0
-    is_inside = _may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, room)
+    leg += last_leg if setup.scene.from_source else 0.0
+    is_inside = _may_arrive(middle - 4 * h / 3 - 2 * size + leg, late + 2 * size + leg, setup)
     if may_halve and h > COARSEST * min(d1, math.sqrt(d3 * d3 + size * size)):
         return Piece(Verdict.HALVES, 0.0, 0.0, 1.0, 0.0, 0.0, is_inside, 0.0)
     most = max(piece[top, 9], piece[top, 10], piece[top, 11])
@@ -444,15 +438,15 @@ def judge(walk, top, n, delta, error, straight, leg, last_leg, room, way):  # ty
         most = max(most, guess(m, n, way, h + size)[0])
     normal = cross(subtract(y1, y0), subtract(y2, y0))
     area = 0.5 * math.sqrt(dot(normal, normal))
-    width = max(1.0, (late - early) * room.per_metre)
-    bend = ((t0 + t1 + t2) / 3 - middle) * room.per_metre
+    width = max(1.0, (late - early) * setup.per_metre)
+    bend = ((t0 + t1 + t2) / 3 - middle) * setup.per_metre
     across = (h / d1) ** 2 + h * h / (d3 * d3 + size * size)
     # What arrives outside the window only counts as a sum, for which what is near has been cut enough.
     verdict, light, worth = Verdict.SAMPLE, seen.gain * area * most, delta * math.sqrt(width)
     slack = error * math.sqrt(width) / light if light > 0.0 else np.inf
     bent = 4.0**LEVELS * max(CURVED * slack, straight) * width
     if is_inside:
-        arc = 0.25 * size * size * room.per_metre / min(d3, last_leg)
+        arc = 0.25 * size * size * setup.per_metre / min(d3, last_leg)
         if may_open and arc > SAGITTA and light * BENT * arc > worth * width:
             verdict = Verdict.QUARTERS_OF_CLUSTER
         elif may_halve and (light * (1.0 + BENT * bend / width) > worth or bend > bent):

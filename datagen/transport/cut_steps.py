@@ -191,13 +191,13 @@ def _draw_part(at, level, u):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _draw(walk, top, piece, squares, straight, room, way, at):  # type: ignore[no-untyped-def]
+def _draw(walk, top, piece, squares, straight, setup, way, at):  # type: ignore[no-untyped-def]
     """A `Hidden` point of the box or piece at `top`, drawn by the guessed light of its parts, which `at` becomes.
 
     squares : of the pixel. straight : of `Asked`.
     """
     bare = Way(way.surface, way.lit, way.seen, way.values, 0.0, way.plane)
-    tree, f, level, area, bend, across = room.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
+    tree, f, level, area, bend, across = setup.tree, walk.tag[top, 1], 0, piece.area, piece.bend, piece.across
     clear0 = clear1 = clear2 = 1.0
     is_box, is_opened = walk.tag[top, 0] == Waiting.BOX, False
     if is_box:
@@ -217,9 +217,9 @@ def _draw(walk, top, piece, squares, straight, room, way, at):  # type: ignore[n
         while level < LEVELS and (level < least or across > piece.even):
             level, bend, across = level + 1, 0.25 * bend, 0.25 * across
         # Air, which changes little over a piece, is interpolated: exponentials are no part of the loop over corners.
-        clear0 = transmittance(room.air, own[12] + distance(y0, way.seen.middle))
-        clear1 = transmittance(room.air, own[13] + distance(y1, way.seen.middle))
-        clear2 = transmittance(room.air, own[14] + distance(y2, way.seen.middle))
+        clear0 = transmittance(setup.scene.air, own[12] + distance(y0, way.seen.middle))
+        clear1 = transmittance(setup.scene.air, own[13] + distance(y1, way.seen.middle))
+        clear2 = transmittance(setup.scene.air, own[14] + distance(y2, way.seen.middle))
     for v in range(CORNERS[level]):
         s1, s2 = PLACES[v, 0], PLACES[v, 1]
         s0 = 1.0 - s1 - s2
@@ -251,21 +251,21 @@ def _draw(walk, top, piece, squares, straight, room, way, at):  # type: ignore[n
 
 
 @compiled(forceinline=True, allocates=False)
-def _choose_fov_point(hidden, walk, top, room, pool, pair, way, tilt):  # type: ignore[no-untyped-def]
+def _choose_fov_point(hidden, walk, top, setup, pool, pair, way, tilt):  # type: ignore[no-untyped-def]
     """Index of a FoV point of the cluster at `top` that gets a ray, −1 if none is lit, and the light of all.
 
     tilt : (2,) set to the change of weights along the sides of the cluster, relative to their mean.
     """
     q, many, total, chosen, one, two = walk.tag[top, 3], walk.tag[top, 4], 0.0, -1, 0.0, 0.0
-    points = min(many, POINTS)
+    scene, points = setup.scene, min(many, POINTS)
     each = many // points
     for m in range(points):
         j = pair.first + 2 * (q + m * each + min(int(walk.numbers[2] * each), each - 1))
         k = pool.part[j]
         if k >= 0:
-            brdf = brdf_of(room.kind, room.values, k)
+            brdf = brdf_of(scene, k)
             z = End(get(pool.position, j, 0), get(pool.normal, j, 0), get(pool.to_sensor, j, 0), brdf)
-            w, _, _ = weight(hidden.point, hidden.normal, way.surface.brdf, way.lit, z, room.values, 0.0, room.air)
+            w, _, _ = weight(hidden.point, hidden.normal, way.surface.brdf, way.lit, z, scene.values, 0.0, scene.air)
             light = pair.power * each * w * pool.weight[j] / hidden.density
             # One of them, drawn by its light, stands for all.
             total += light
@@ -283,28 +283,28 @@ def _choose_fov_point(hidden, walk, top, room, pool, pair, way, tilt):  # type: 
 
 
 @compiled(forceinline=True, allocates=False)
-def _set_rays(ends, hidden, lit, z, n3, room):  # type: ignore[no-untyped-def]
+def _set_rays(ends, hidden, lit, z, n3, scene):  # type: ignore[no-untyped-def]
     """Sets the ends (3, 3) of a sample's rays, lifted off their surfaces."""
-    side = room.offset if dot(subtract(lit.point, hidden.point), hidden.normal) > 0.0 else -room.offset
-    ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit.point, lit.normal, room.offset, room.frame)
-    ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(hidden.point, hidden.normal, side, room.frame)
-    ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, room.offset, room.frame)
+    side = scene.offset if dot(subtract(lit.point, hidden.point), hidden.normal) > 0.0 else -scene.offset
+    ends[0, 0], ends[0, 1], ends[0, 2] = lifted_and_scaled(lit.point, lit.normal, scene.offset, scene.frame)
+    ends[1, 0], ends[1, 1], ends[1, 2] = lifted_and_scaled(hidden.point, hidden.normal, side, scene.frame)
+    ends[2, 0], ends[2, 1], ends[2, 2] = lifted_and_scaled(z, n3, scene.offset, scene.frame)
 
 
 @compiled(forceinline=True, allocates=False)
-def _set_times(time, change, hidden, z, last_leg, row, room, pair, way):  # type: ignore[no-untyped-def]
+def _set_times(time, change, hidden, z, last_leg, row, setup, pair, way):  # type: ignore[no-untyped-def]
     """Sets the times (CORNERS[-1],) of a sample by way of FoV point z, and their change (2,) along the sides of the
     cluster, bins.
 
     last_leg : from z to the sensor, m. row : (18,) of the cluster.
     """
-    per, mean, one, two = room.per_metre, 0.0, 0.0, 0.0
+    per, mean, one, two = setup.per_metre, 0.0, 0.0, 0.0
     if row[17] > 0.0:
         # Times, which change most over a pixel, are those of all of a flat cluster.
         z, last_leg = way.seen.middle, row[17]
-        mean, one, two = change_over_cluster(hidden.point, way.seen, row, room.device)
+        mean, one, two = change_over_cluster(hidden.point, way.seen, row, setup.scene.from_source)
     # Times over a triangle that change by their squares are, on average, ¾ of the bend earlier than linear ones.
-    path = pair.leg + (last_leg if room.device else 0.0) + mean - (room.start + 0.75 * hidden.bend) / per
+    path = pair.leg + (last_leg if setup.scene.from_source else 0.0) + mean - (setup.start + 0.75 * hidden.bend) / per
     y0, y1, y2 = hidden.corners
     for v in range(CORNERS[hidden.level]):
         y = _part_corner(y0, y1, y2, v)
@@ -314,21 +314,21 @@ def _set_times(time, change, hidden, z, last_leg, row, room, pair, way):  # type
 
 
 @compiled(forceinline=True, allocates=False)
-def _sample(walk, top, piece, chance, asked, room, pool, pair, way, expected, batch, used):  # type: ignore[no-untyped-def]
+def _sample(walk, top, piece, chance, asked, setup, pool, pair, way, expected, batch, used):  # type: ignore[no-untyped-def]
     """Sets sample `used` of the batch to one of the box or piece at `top`, which is drawn with some chance; returns
     whether it brings light."""
     squares, seen = len(pool.part) // (2 * len(pool.cluster)), way.seen
-    hidden = _draw(walk, top, piece, squares, asked.straight, room, way, batch.at[used])
+    hidden = _draw(walk, top, piece, squares, asked.straight, setup, way, batch.at[used])
     lobe, many = min(way.surface.lobe, seen.lobe), walk.tag[top, 4]
     is_near = many == 1 and seen.size > COARSEST_CLUSTER * lobe * distance(hidden.point, seen.middle)
     expected[0] += seen.gain * hidden.light / chance
     expected[1] += seen.gain * hidden.light / chance if is_near else 0.0
-    j, light = _choose_fov_point(hidden, walk, top, room, pool, pair, way, batch.change[used, 2:])
+    j, light = _choose_fov_point(hidden, walk, top, setup, pool, pair, way, batch.change[used, 2:])
     if j < 0:
         return False
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
-    _set_rays(batch.ends[used], hidden, way.lit, z, get(pool.normal, j, 0), room)
-    _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, room, pair, way)
+    _set_rays(batch.ends[used], hidden, way.lit, z, get(pool.normal, j, 0), setup.scene)
+    _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, setup, pair, way)
     batch.light[used], batch.level[used] = light / chance, hidden.level
     batch.shift[used] = 0
     for span in SPANS:
@@ -347,25 +347,25 @@ def _is_drawn(walk, chance):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True, allocates=False)
-def _cut(walk, top, enough, error, straight, room, pool, pair, way):  # type: ignore[no-untyped-def]
+def _cut(walk, top, enough, error, straight, setup, pool, pair, way):  # type: ignore[no-untyped-def]
     """The `Piece` of what waits at `top`, and the height of the stack after that has been cut, where it is; `enough`
     and the others as in `judge`."""
     at, last_leg = walk.tag[top, 1], pool.leg[way.seen.one]
     if walk.tag[top, 0] == Waiting.BOX:
-        leg = pair.leg + (last_leg if room.device else 0.0)
-        piece = judge_box(room.tree, at, enough, leg, room, way)
-        return piece, open_box(walk, top, room, way) if piece.verdict == Verdict.HALVES else top
-    n = get(room.tree.normal, at, 0)
-    piece = judge(walk, top, n, enough, error, straight, pair.leg, last_leg, room, way)
+        leg = pair.leg + (last_leg if setup.scene.from_source else 0.0)
+        piece = judge_box(setup.tree, at, enough, leg, setup, way)
+        return piece, open_box(walk, top, setup, way) if piece.verdict == Verdict.HALVES else top
+    n = get(setup.tree.normal, at, 0)
+    piece = judge(walk, top, n, enough, error, straight, pair.leg, last_leg, setup, way)
     if piece.verdict == Verdict.QUARTERS_OF_CLUSTER:
-        top = open_cluster(walk, top, n, room, pool, pair.pixel, pair.power, way)
+        top = open_cluster(walk, top, n, setup, pool, pair.pixel, pair.power, way)
     elif piece.verdict == Verdict.HALVES:
         top = halve(walk, top, 0.5 + UNEVEN * (_random(walk.state) - 0.5), n, way)
     return piece, top
 
 
 @compiled(allocates=False)
-def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
+def emit(pairs, rows, asked, most, replicate, seed, setup, pool, walk, expected, batch):  # type: ignore[no-untyped-def]
     """Fills the batch with a sample of each element of some pairs; returns the number of samples.
 
     pairs : (n, 3) laser point, index of the pixel in `pool`, and row of the histogram, of so many `rows`. asked :
@@ -373,35 +373,35 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
     where the last batch was full; its pair is n when all is done. expected : (3,) photons as guessed, added up: of
     all pieces, of those whose FoV points are far apart for their distance, and of what may arrive within the window.
     """
-    used, at, lasers, points = 0, walk.at, room.lasers, len(pool.part) // len(pool.cluster)
+    used, at, lasers, points = 0, walk.at, setup.lasers, len(pool.part) // len(pool.cluster)
     for number in range(at[0], len(pairs)):
         i, p, row = pairs[number, 0], pairs[number, 1], pairs[number, 2]
         k1 = lasers.part[i]
-        if k1 < 0 or room.power[i] <= 0.0 or pool.cluster[p, 0, 9] <= 0.0:
+        if k1 < 0 or setup.power[i] <= 0.0 or pool.cluster[p, 0, 9] <= 0.0:
             continue
-        brdf = brdf_of(room.kind, room.values, k1)
+        brdf = brdf_of(setup.scene, k1)
         lit = End(get(lasers.position, i, 0), get(lasers.normal, i, 0), get(lasers.to_laser, i, 0), brdf)
-        pair = Pair(lasers.leg[i] if room.device else 0.0, room.power[i], p, p * points + replicate)
+        pair = Pair(lasers.leg[i] if setup.scene.from_source else 0.0, setup.power[i], p, p * points + replicate)
         if at[1] == 0 and at[2] == 0:
             walk.state[0] = mix(mix(np.uint64(seed), np.uint64(i)), np.uint64(p))
             walk.state[0] = (walk.state[0] << np.uint64(32)) | mix(walk.state[0], np.uint64(number))
             for d in range(len(STEPS)):
                 walk.numbers[d] = _random(walk.state)
-        for k in range(at[1], len(room.tree.roots)):
+        for k in range(at[1], len(setup.tree.roots)):
             top, at[2] = at[2], 0
             if asked.slot[k] < 0:
                 continue
-            surface = Surface(brdf_of(room.kind, room.values, k), room.outer[k], room.peak[k], room.lobe[k])
+            surface = Surface(brdf_of(setup.scene, k), setup.outer[k], setup.peak[k], setup.lobe[k])
             if top == 0:
-                push(walk.tag, 0, Waiting.BOX, room.tree.roots[k], 0, 0, points // 2)
+                push(walk.tag, 0, Waiting.BOX, setup.tree.roots[k], 0, 0, points // 2)
                 top = 1
             while top > 0:
                 top -= 1
                 # With an infinite δ only what is near is cut.
                 enough, error = (asked.delta[k], asked.error[k]) if at[3] < most else (np.inf, np.inf)
-                seen = cluster_of(room, pool, p, walk.tag[top, 2], pair.power)
-                way = Way(surface, lit, seen, room.values, room.air, room.plane)
-                piece, top = _cut(walk, top, enough, error, asked.straight, room, pool, pair, way)
+                seen = cluster_of(setup, pool, p, walk.tag[top, 2], pair.power)
+                way = Way(surface, lit, seen, setup.scene.values, setup.scene.air, setup.plane)
+                piece, top = _cut(walk, top, enough, error, asked.straight, setup, pool, pair, way)
                 if piece.verdict != Verdict.SAMPLE:
                     continue
                 if used == len(batch.row):
@@ -415,7 +415,7 @@ def emit(pairs, rows, asked, most, replicate, seed, room, pool, walk, expected, 
                 at[3] += 1
                 for d in range(len(STEPS)):
                     walk.numbers[d] = _fraction(walk.numbers[d] + STEPS[d])
-                if _sample(walk, top, piece, chance, asked, room, pool, pair, way, expected, batch, used):
+                if _sample(walk, top, piece, chance, asked, setup, pool, pair, way, expected, batch, used):
                     batch.row[used] = asked.slot[k] * rows + row
                     used += 1
         at[1] = 0

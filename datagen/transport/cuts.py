@@ -26,7 +26,7 @@ from datagen.seeding import LightStream
 from datagen.transport.arrival_times import Work
 from datagen.transport.brdf import LAMBERTIAN, lobe_width
 from datagen.transport.bvh import ON_PLANE, SMALLEST, Hierarchy
-from datagen.transport.cut_elements import Room, Walk
+from datagen.transport.cut_elements import CutSetup, Walk
 from datagen.transport.cut_steps import Asked, Batch, emit, legs_of, pour_all, widest
 from datagen.transport.fov_clusters import FovClusters, squares_of
 from datagen.transport.memory import VALUES_AT_ONCE
@@ -168,18 +168,14 @@ class Cuts:
         self.problem, scene, axis = problem, problem.scene, problem.capture.time
         self.beside = Beside(0.0, np.zeros(len(scene.part_names))) if beside is None else beside
         tree, self.pairs = Hierarchy.of(scene), problem.pairs
-        materials, caster, points = problem.materials, problem.caster, problem.points
+        materials, points = problem.materials, problem.points
         width = np.array([lobe_width(material) for material in scene.materials])
         peak = materials.values[:, 0] / math.pi * (1.0 + (materials.kind != LAMBERTIAN) / width**2)
         bin_m = float(path_from_time(axis.width_s))
-        air = scene.attenuation_per_m
-        self.room = Room(
-            tree, materials.kind, materials.values, peak, width, outer_sides(scene), points,
-            self.pairs.share * np.exp(-air * np.nan_to_num(points.leg)), 1.0 / bin_m,
-            axis.start_s / axis.width_s, float(axis.bins), axis.origin == "source", air,
-            ON_PLANE * tree.extent, SMALLEST * tree.extent,
-            np.array([*caster.center, caster.half_extent_m]),
-            caster.offset_m,
+        self.setup = CutSetup(
+            problem.numbers, tree, peak, width, outer_sides(scene), points,
+            self.pairs.share * np.exp(-scene.attenuation_per_m * np.nan_to_num(points.leg)), 1.0 / bin_m,
+            axis.start_s / axis.width_s, float(axis.bins), ON_PLANE * tree.extent, SMALLEST * tree.extent,
         )  # fmt: skip
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         self.of_objects = np.array([role == "object" for role in scene.roles])
@@ -312,7 +308,7 @@ class Cuts:
         most = self.most * max(rows, AT_LEAST)
         while walk.at[0] < len(pairs):
             used = emit(
-                pairs, rows, asked, most, replicate, seed, self.room, pool, walk, self.expected, self.batch
+                pairs, rows, asked, most, replicate, seed, self.setup, pool, walk, self.expected, self.batch
             )  # fmt: skip
             visible = self.every[:used]
             samples += used

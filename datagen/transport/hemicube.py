@@ -277,7 +277,7 @@ def _draw_all(view, of_view, pose, drawn, side, local, shown, bits, near, touche
     """Sets `first` (M + 1,) and the entries `cell`, `of_bits`, `of_near` of `Pictures`, as many as have room; returns
     their number. of_view : (M,) view of each picture. pose : (M, movers, 5).
 
-    local (V, 3), shown (T,), bits, near, touched (cells,) : room to work in; bits are 0 before and after.
+    local (V, 3), shown (T,), bits, near, touched (cells,) : arrays to work in; bits are 0 before and after.
     """
     used = 0
     for m in range(len(of_view)):
@@ -318,15 +318,15 @@ def _draw_all(view, of_view, pose, drawn, side, local, shown, bits, near, touche
 def pictures(views: Views, of_view: Ints, pose: Floats, drawn: Drawn, side: int) -> Pictures:
     """Pictures of all movers together, from views `of_view` (M,), with the movers at poses (M, movers, 5); the front
     face of the hemicube has side × side cells."""
-    cells, count, room = 3 * side * side, len(of_view), 64 * len(of_view) + MOST_CELLS
+    cells, count, most = 3 * side * side, len(of_view), 64 * len(of_view) + MOST_CELLS
     bits, near, touched = np.zeros(cells, np.int64), np.empty(cells), np.empty(cells, np.int64)
     local, shown = np.empty((len(drawn.vertices), 3)), np.empty(len(drawn.triangles), np.bool_)
     first: NDArray[np.int64] = np.empty(count + 1, np.int64)
     while True:
-        cell, of_bits, of_near = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+        cell, of_bits, of_near = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
         used = _draw_all(
             views, of_view, pose, drawn, side, local, shown, bits, near, touched, first, cell, of_bits, of_near
         )  # fmt: skip
-        if used <= room:
+        if used <= most:
             return Pictures(first, cell[:used], of_bits[:used], of_near[:used])
-        room = int(used)
+        most = int(used)

@@ -58,7 +58,7 @@ class Jobs(NamedTuple):
 class OwnLight:
     """The light of one mover.
 
-    cuts : the problem of all parts, with FoV points and laser points of the static room. mover, others : the part,
+    cuts : the problem of all parts, with FoV points and laser points of the static setup. mover, others : the part,
     and all others that move. samples : drawn so far. is_limited : whether a run had as many as it may have.
     """
 
@@ -68,8 +68,7 @@ class OwnLight:
         parts = len(cuts.groups)
         self.slot, self.group = np.full(parts, -1), int(cuts.groups[mover.part])
         self.slot[mover.part] = 0
-        frame = cuts.problem.caster
-        self.frame = np.array([*frame.center, frame.half_extent_m])
+        self.frame = cuts.problem.caster.frame
 
     def run(self, jobs: Jobs, delta: Floats, error: Floats, number: int) -> tuple[Floats, Floats]:
         """The light (2, F, n, T) of two replicates of some histograms, of elements that bring at most `delta` (F,)
@@ -114,14 +113,14 @@ class OwnLight:
         cuts, n, frame = self.cuts, len(of), jobs.frame[turn]
         at = (instant, frame, jobs.laser)
         pose, *others = (np.ascontiguousarray(mover.pose[at]) for mover in (self.mover, *self.others))
-        room = cuts.room._replace(
-            lasers=_lasers_before(cuts.room.lasers, jobs.laser, pose), power=cuts.room.power[jobs.laser]
+        setup = cuts.setup._replace(
+            lasers=_lasers_before(cuts.setup.lasers, jobs.laser, pose), power=cuts.setup.power[jobs.laser]
         )
         own_pool, rows = _pool_before(pool, of, pose), np.arange(n)
         pairs, most = np.column_stack([rows, rows, rows]), cuts.most * max(n, AT_LEAST)
         walk = Walk.of(np.random.default_rng(seed).random())
         while walk.at[0] < n:
-            used = emit(pairs, n, asked, most, replicate, seed, room, own_pool, walk, cuts.expected, cuts.batch)
+            used = emit(pairs, n, asked, most, replicate, seed, setup, own_pool, walk, cuts.expected, cuts.batch)
             self.samples += used
             cuts.pour(self._rows_in_sight(pose, others, cuts.every[:used]), light, outside)
         self.is_limited |= bool(walk.at[3] >= most)

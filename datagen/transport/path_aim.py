@@ -87,10 +87,10 @@ def aim_of(caster: Raycaster, scene: Scene, planes: Floats, guesses: int) -> Aim
     return Aim(np.cumsum(chance), per_area, begin, stride, count, triangles, first, rank, density, share)
 
 
-def aimed_at(aim: Aim, world, x, v, size: Floats, area: Floats, radius: Floats) -> Aim:  # type: ignore[no-untyped-def]
+def aimed_at(aim: Aim, setup, x, v, size: Floats, area: Floats, radius: Floats) -> Aim:  # type: ignore[no-untyped-def]
     """The aim with guesses for n pairs of laser point x and point v that the middle of the pixel sees.
 
-    world, x, v : see `path_steps.py`; rows without power are points that do not exist. size : (n,) half the width of
+    setup, x, v : see `path_steps.py`; rows without power are points that do not exist. size : (n,) half the width of
     the patch that the pixel sees, m. area, radius : (F,) of triangles, m², m; the latter from middle to corner.
     """
     wide = int(aim.stride.max(initial=0))
@@ -98,7 +98,7 @@ def aimed_at(aim: Aim, world, x, v, size: Floats, area: Floats, radius: Floats) 
         return aim
     even = len(aim.density) - wide
     density, share = (np.concatenate([of[:even], np.tile(of[even:], len(size))]) for of in (aim.density, aim.share))
-    _share_by_guesses(aim, world, x, v, size, area, radius, density, share)
+    _share_by_guesses(aim, setup, x, v, size, area, radius, density, share)
     return aim._replace(density=density, share=share)
 
 
@@ -130,7 +130,7 @@ def _guess(lit_from, seen_from, triangle, size, wide):  # type: ignore[no-untype
 
     lit_from, seen_from : laser point and FoV point: kind and row of the material, position, normal, direction to the
     device. triangle : kind and row, middle, normal, radius. size : half the width of the patch that the pixel sees.
-    wide : room for a row.
+    wide : a row to work in.
     """
     (kind1, row1, x, n, back_x), (kind3, row3, v, m, back_v) = lit_from, seen_from
     kind2, row2, middle, normal, radius = triangle
@@ -158,14 +158,14 @@ def _guess(lit_from, seen_from, triangle, size, wide):  # type: ignore[no-untype
 
 
 @compiled()
-def _share_by_guesses(aim, world, x, v, size, area, radius, density, share):  # type: ignore[no-untyped-def]
+def _share_by_guesses(aim, setup, x, v, size, area, radius, density, share):  # type: ignore[no-untyped-def]
     """Write densities and running sums of the parts that have guesses, for each pair."""
-    corners, normals, kind, values = world.corners, world.face_normal, world.kind, world.values
+    corners, normals, kind, values = setup.corners, setup.face_normal, setup.scene.kind, setup.scene.values
     wide = np.empty(values.shape[1])
     for r in range(len(size)):
         if not (x.power[r] > 0.0 and v.power[r] > 0.0):
             continue
-        p1, p3 = world.part[x.face[r]], world.part[v.face[r]]
+        p1, p3 = setup.part[x.face[r]], setup.part[v.face[r]]
         lit_from = kind[p1], values[p1], get(x.position, r, 0), get(x.normal, r, 0), get(x.back, r, 0)
         seen_from = kind[p3], values[p3], get(v.position, r, 0), get(v.normal, r, 0), get(v.back, r, 0)
         for k in range(len(aim.length)):

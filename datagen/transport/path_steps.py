@@ -19,6 +19,7 @@ from datagen.transport.geometry import TINY, corner, cross, get, put, subtract, 
 from datagen.transport.path_aim import Aim, draw_triangle
 from datagen.transport.rays import lifted_and_scaled, write_shadow_ray
 from datagen.transport.sampling import BITS, word_of
+from datagen.transport.scene_numbers import SceneNumbers
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
 
 BY_AREA = 0.5
@@ -32,29 +33,22 @@ NO_GOAL, NO_NORMAL = np.int64(-1), (0.0, 0.0, 0.0)
 """The goal of a ray that is not aimed at a triangle, and the normal at the end of a ray that lies on no surface."""
 
 
-class World(NamedTuple):
+class PathSetup(NamedTuple):
     """What the loops need to know of scene, materials and capture.
 
-    corners : (F, 3, 3), face_normal : (F, 3), part : (F,) of the triangles. kind, values : the `MaterialTable`.
-    attenuation : of air, 1/m. offset : by which ends of rays are lifted off their surfaces, m. frame : (4,) embree's
-    centre and half extent, m. sensor : position. aperture_area, aperture_square : m²; the latter is the square
-    of the radius, or 0 for a small aperture. from_source : whether the legs of the device count for the time axis.
-    planes, solid_angle : of the pixels' cones. footprints : (P, R, C) sensitivities within pixels, or one cell. into
-    : (P, 3, 3) the matrix from a direction to its place in the pixel.
+    scene : its numbers. corners : (F, 3, 3), face_normal : (F, 3), part : (F,) of the triangles. sensor : position.
+    aperture_area, aperture_square : m²; the latter is the square of the radius, or 0 for a small aperture. planes,
+    solid_angle : of the pixels' cones. footprints : (P, R, C) sensitivities within pixels, or one cell. into :
+    (P, 3, 3) the matrix from a direction to its place in the pixel.
     """
 
+    scene: SceneNumbers
     corners: Floats
     face_normal: Floats
     part: Ints
-    kind: Ints | NDArray[np.uint8]
-    values: Floats
-    attenuation: float
-    offset: float
-    frame: Floats
     sensor: Vector
     aperture_area: float
     aperture_square: float
-    from_source: bool
     planes: Floats
     solid_angle: Floats
     footprints: Floats
@@ -139,7 +133,7 @@ class Found(NamedTuple):
     photons: Floats
 
 
-def room(record: type[R], n: int) -> R:
+def empty_record(record: type[R], n: int) -> R:
     """A record of n rows to be filled."""
     kinds = {"sample": np.int64, "face": np.int64, "of": np.int64, "goal": np.int64, "part": np.int64,
              "origin": np.float32, "direction": np.float32}  # fmt: skip
@@ -192,16 +186,16 @@ def _toward(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _vertex(world, face, position, normal, back, power, density, path):  # type: ignore[no-untyped-def]
-    part = world.part[face]
-    return Vertex(face, part, world.kind[part], position, normal, back, power, density, path)
+def _vertex(setup, face, position, normal, back, power, density, path):  # type: ignore[no-untyped-def]
+    part = setup.part[face]
+    return Vertex(face, part, setup.scene.kind[part], position, normal, back, power, density, path)
 
 
 @compiled()
-def _row(world, x, i):  # type: ignore[no-untyped-def]
+def _row(setup, x, i):  # type: ignore[no-untyped-def]
     """Row i of vertices x."""
     position, normal, back = get(x.position, i, 0), get(x.normal, i, 0), get(x.back, i, 0)
-    return _vertex(world, x.face[i], position, normal, back, x.power[i], x.density[i], x.path[i])
+    return _vertex(setup, x.face[i], position, normal, back, x.power[i], x.density[i], x.path[i])
 
 
 @compiled()
@@ -220,17 +214,17 @@ def _write_path(found, k, sample, part, path, photons):  # type: ignore[no-untyp
 
 
 @compiled()
-def _write_ray(world, rays, k, of, goal, p, n, direction):  # type: ignore[no-untyped-def]
+def _write_ray(scene, rays, k, of, goal, p, n, direction):  # type: ignore[no-untyped-def]
     """Write a ray that leaves the point p of a surface with normal n to row k."""
     rays.of[k], rays.goal[k] = of, goal
-    put(rays.origin, k, 0, lifted_and_scaled(p, n, world.offset, world.frame))
+    put(rays.origin, k, 0, lifted_and_scaled(p, n, scene.offset, scene.frame))
     put(rays.direction, k, 0, direction)
 
 
 @compiled()
-def _write_shadow_ray(world, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
+def _write_shadow_ray(scene, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
     """Write a ray between points p and q of surfaces with normals n and m to row k."""
-    a, b = lifted_and_scaled(p, n, world.offset, world.frame), lifted_and_scaled(q, m, world.offset, world.frame)
+    a, b = lifted_and_scaled(p, n, scene.offset, scene.frame), lifted_and_scaled(q, m, scene.offset, scene.frame)
     write_shadow_ray(rays.origin, rays.direction, k, a, b)
 
 
@@ -243,30 +237,30 @@ def _brdf_and_density(values, a, w_in, w_out):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def _draw_direction(world, a, u, v):  # type: ignore[no-untyped-def]
+def _draw_direction(setup, a, u, v):  # type: ignore[no-untyped-def]
     """A unit direction drawn by the BRDF at vertex a."""
-    return sample(a.kind, world.values[a.part], a.normal, a.back, u, v)
+    return sample(a.kind, setup.scene.values[a.part], a.normal, a.back, u, v)
 
 
 @compiled()
-def _meeting_point(world, face, origin, direction):  # type: ignore[no-untyped-def]
+def _meeting_point(setup, face, origin, direction):  # type: ignore[no-untyped-def]
     """Where a ray meets the plane of a triangle; its normal, turned against the ray; whether the ray meets it.
 
     Only the triangle is embree's answer: the point is computed in double precision.
     """
-    n, w = get(world.face_normal, face, 0), (1.0 * direction[0], 1.0 * direction[1], 1.0 * direction[2])
+    n, w = get(setup.face_normal, face, 0), (1.0 * direction[0], 1.0 * direction[1], 1.0 * direction[2])
     approach = dot(n, w)
     # Edge-on the plane gives no distance.
-    reach = dot(n, subtract(corner(world.corners, face, 0), origin)) / approach if approach != 0.0 else -1.0
+    reach = dot(n, subtract(corner(setup.corners, face, 0), origin)) / approach if approach != 0.0 else -1.0
     if approach > 0.0:
         n = _minus(n)
     return _along(origin, reach, w), n, 0.0 < reach < np.inf
 
 
 @compiled()
-def _aperture(world, r):  # type: ignore[no-untyped-def]
+def _aperture(setup, r):  # type: ignore[no-untyped-def]
     """Area of the aperture seen from a distance, m²: of a small one, or of a finite disc."""
-    return world.aperture_area * r * r / (r * r + world.aperture_square)
+    return setup.aperture_area * r * r / (r * r + setup.aperture_square)
 
 
 @compiled()
@@ -291,26 +285,26 @@ def _seen_within(planes, footprints, into, pixel, w):  # type: ignore[no-untyped
 
 
 @compiled()
-def fill_laser_points(world, points, number, x):  # type: ignore[no-untyped-def]
+def fill_laser_points(setup, points, number, x):  # type: ignore[no-untyped-def]
     """Fill x with the laser points of samples, those of `points` by number (n,), −1 for a sample without one; returns
     how many."""
     count = 0
     for s in range(len(number)):
         if number[s] >= 0:
-            _write_vertex(x, count, s, _row(world, points, number[s]))
+            _write_vertex(x, count, s, _row(setup, points, number[s]))
             count += 1
     return count
 
 
 @compiled()
-def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore[no-untyped-def]
+def lines_of_sight(setup, corners, pixel, numbers, rays, solid):  # type: ignore[no-untyped-def]
     """Fill rays with lines of sight through pixels (n,), and `solid` (n,) with what each stands for: dΩ/(du dv) times
     the sensitivity.
 
     corners : (P, 4, 3) of the pixels, relative to the sensor. A point uniform on the pixel's quadrilateral q(u, v),
     as seen from the sensor, stands for the solid angle dΩ/(du dv) = |q · (∂q/∂u × ∂q/∂v)| / |q|³.
     """
-    footprints, sensor = world.footprints, world.sensor
+    footprints, sensor = setup.footprints, setup.sensor
     for s in range(len(pixel)):
         u, v, p = numbers[s, 0], numbers[s, 1], pixel[s]
         a, b, c, d = corner(corners, p, 0), corner(corners, p, 1), corner(corners, p, 2), corner(corners, p, 3)
@@ -319,42 +313,42 @@ def lines_of_sight(world, corners, pixel, numbers, rays, solid):  # type: ignore
         q = _along(lower, v, along_v)
         solid[s] = abs(dot(q, cross(along_u, along_v))) / (dot(q, q) * math.sqrt(dot(q, q)))
         solid[s] *= _sensitivity(footprints, p, u, v)
-        _write_ray(world, rays, s, s, NO_GOAL, sensor, NO_NORMAL, q)
+        _write_ray(setup.scene, rays, s, s, NO_GOAL, sensor, NO_NORMAL, q)
 
 
 @compiled()
-def fill_fov_points(world, rays, faces, solid, v):  # type: ignore[no-untyped-def]
+def fill_fov_points(setup, rays, faces, solid, v):  # type: ignore[no-untyped-def]
     """Fill v with the FoV points where lines of sight landed, a row for each; `power` is 0 where there is none."""
-    sensor = world.sensor
+    sensor = setup.sensor
     for s in range(len(faces)):
         v.sample[s], v.power[s] = s, 0.0
         face = np.int64(faces[s])
         if face >= 0:
             # The direction as embree knows it, in single precision, is the one whose triangle was found.
-            position, normal, meets = _meeting_point(world, face, sensor, get(rays.direction, s, 0))
+            position, normal, meets = _meeting_point(setup, face, sensor, get(rays.direction, s, 0))
             if meets:
                 back, leg = _toward(position, sensor)
-                gain = solid[s] * _aperture(world, leg) * transmittance(world.attenuation, leg)
-                _write_vertex(v, s, s, _vertex(world, face, position, normal, back, gain, 0.0, leg))
+                gain = solid[s] * _aperture(setup, leg) * transmittance(setup.scene.air, leg)
+                _write_vertex(v, s, s, _vertex(setup, face, position, normal, back, gain, 0.0, leg))
 
 
 @compiled()
-def rays_back(world, v, numbers, rays):  # type: ignore[no-untyped-def]
+def rays_back(setup, v, numbers, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from FoV points, drawn by their BRDFs against the direction of light; returns how many."""
     count = 0
     for s in range(len(v.power)):
         if v.power[s] > 0.0:
-            a = _row(world, v, s)
-            w = _draw_direction(world, a, numbers[s, 5], numbers[s, 6])
+            a = _row(setup, v, s)
+            w = _draw_direction(setup, a, numbers[s, 5], numbers[s, 6])
             # A lobe may reach below the surface, where the BRDF is 0.
             if dot(a.normal, w) > 0.0:
-                _write_ray(world, rays, count, s, NO_GOAL, a.position, a.normal, w)
+                _write_ray(setup.scene, rays, count, s, NO_GOAL, a.position, a.normal, w)
                 count += 1
     return count
 
 
 @compiled()
-def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
+def seen_from(setup, v, rays, faces, h):  # type: ignore[no-untyped-def]
     """Fill h with the vertices that FoV points v see along rays, a row for each sample; `face` is −1 for none."""
     for s in range(len(v.power)):
         h.face[s] = -1
@@ -362,7 +356,7 @@ def seen_from(world, v, rays, faces, h):  # type: ignore[no-untyped-def]
         face = np.int64(faces[k])
         if face >= 0:
             s = rays.of[k]
-            position, normal, meets = _meeting_point(world, face, get(v.position, s, 0), get(rays.direction, k, 0))
+            position, normal, meets = _meeting_point(setup, face, get(v.position, s, 0), get(rays.direction, k, 0))
             if meets:
                 h.face[s] = face
                 put(h.position, s, 0, position)
@@ -377,59 +371,59 @@ def _place_on(corners, face, u, v):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def rays_to_second(world, samples, b, rays):  # type: ignore[no-untyped-def]
+def rays_to_second(setup, samples, b, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from laser points b to first hidden vertices, drawn by area or by the BRDF; returns how
     many."""
     count, numbers = 0, samples.numbers
     for i in range(len(b.sample)):
-        s, a = b.sample[i], _row(world, b, i)
+        s, a = b.sample[i], _row(setup, b, i)
         choice, u, v, goal = numbers[s, 2], numbers[s, 3], numbers[s, 4], NO_GOAL
         if choice < BY_AREA:
             # One number chooses way and triangle, so that its even spread serves both.
             goal = draw_triangle(samples.aim, samples.row[s], choice / BY_AREA)
-            place = _place_on(world.corners, goal, u, v)
-            w = subtract(place, _along(a.position, world.offset, a.normal))
+            place = _place_on(setup.corners, goal, u, v)
+            w = subtract(place, _along(a.position, setup.scene.offset, a.normal))
             put(rays.place, count, 0, place)
         else:
-            w = _draw_direction(world, a, u, v)
+            w = _draw_direction(setup, a, u, v)
         if dot(a.normal, w) > 0.0:
-            _write_ray(world, rays, count, i, goal, a.position, a.normal, w)
+            _write_ray(setup.scene, rays, count, i, goal, a.position, a.normal, w)
             count += 1
     return count
 
 
 @compiled()
-def rays_onward(world, samples, x, order, rays):  # type: ignore[no-untyped-def]
+def rays_onward(setup, samples, x, order, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices x, the last before the FoV point of paths of `order` bounces, drawn by their
     BRDFs; returns how many."""
     count = 0
     for i in range(len(x.sample)):
-        s, a = x.sample[i], _row(world, x, i)
+        s, a = x.sample[i], _row(setup, x, i)
         if order == 3:
             u, v = samples.numbers[s, 7], samples.numbers[s, 8]
         else:
             u = _independent(samples.seeds[s], samples.number[s], 3 * order + 1)
             v = _independent(samples.seeds[s], samples.number[s], 3 * order + 2)
-        w = _draw_direction(world, a, u, v)
+        w = _draw_direction(setup, a, u, v)
         if dot(a.normal, w) > 0.0:
-            _write_ray(world, rays, count, i, NO_GOAL, a.position, a.normal, w)
+            _write_ray(setup.scene, rays, count, i, NO_GOAL, a.position, a.normal, w)
             count += 1
     return count
 
 
 @compiled()
-def toward(world, b, h, rays):  # type: ignore[no-untyped-def]
+def toward(setup, b, h, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices b to the vertices h that FoV points see; returns how many."""
     count = 0
     for i in range(len(b.sample)):
         s, p, n = b.sample[i], get(b.position, i, 0), get(b.normal, i, 0)
         if h.face[s] >= 0:
             place = get(h.position, s, 0)
-            w = subtract(place, _along(p, world.offset, n))
+            w = subtract(place, _along(p, setup.scene.offset, n))
             # Between sides that face away from each other no light passes: the ray is saved.
             if dot(n, w) > 0.0 and dot(get(h.normal, s, 0), w) < 0.0:
                 put(rays.place, count, 0, place)
-                _write_ray(world, rays, count, i, h.face[s], p, n, w)
+                _write_ray(setup.scene, rays, count, i, h.face[s], p, n, w)
                 count += 1
     return count
 
@@ -459,38 +453,38 @@ def _end_of_leg(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped
 
 
 @compiled()
-def arrivals(world, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+def arrivals(setup, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
     """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
     the row of the b of each; returns how many.
 
     second : whether these are vertices x₂. returning : whether rays are aimed at vertices that FoV points see.
     """
-    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
+    count, values, part, aim, row = 0, setup.scene.values, setup.part, samples.aim, samples.row
     for k in range(len(faces)):
         i, face, goal = rays.of[k], np.int64(faces[k]), rays.goal[k]
         # A place drawn by area counts only if its own triangle is met first, so that of two triangles that coincide
         # one counts, the same as for rays.
         if face < 0 or (goal >= 0 and face != goal and not returning):
             continue
-        a, s = _row(world, b, i), b.sample[i]
+        a, s = _row(setup, b, i), b.sample[i]
         # Where a ray goes is computed from the vertex itself, not from above it, where embree began: so hits have the
         # density of rays from there, even at the foot of a wall that is nearer than rays are lifted.
         start, direction, place = a.position, get(rays.direction, k, 0), a.position
         if goal >= 0:
-            place, start = get(rays.place, k, 0), _along(a.position, world.offset, a.normal)
+            place, start = get(rays.place, k, 0), _along(a.position, setup.scene.offset, a.normal)
             direction = subtract(place, start)
-        y, n, meets = _meeting_point(world, face, start, direction)
+        y, n, meets = _meeting_point(setup, face, start, direction)
         if goal >= 0:
             # A path counts if the ray meets this place first: all ways must draw the same paths.
             off = subtract(y, place)
-            meets = meets and max(abs(off[0]), abs(off[1]), abs(off[2])) < world.offset
+            meets = meets and max(abs(off[0]), abs(off[1]), abs(off[2])) < setup.scene.offset
         if not meets:
             continue
         w, r = _toward(a.position, y)
         light, density = _end_of_leg(values, a, w, r, n, _by_area(aim, part, row[s], face) if second else 0.0, second)
-        power = a.power * light * transmittance(world.attenuation, r)
+        power = a.power * light * transmittance(setup.scene.air, r)
         if density > TINY and power > 0.0:
-            end = _vertex(world, face, y, n, _minus(w), power / density, density, a.path + r)
+            end = _vertex(setup, face, y, n, _minus(w), power / density, density, a.path + r)
             _write_vertex(x, count, s, end)
             of[count] = i
             count += 1
@@ -524,34 +518,34 @@ def _photons(values, x, v, solid_angle, by_area, order):  # type: ignore[no-unty
 
 
 @compiled()
-def joined(world, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
+def joined(setup, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of `order` bounces from vertices x to the FoV points v of their samples, and rays with
     a shadow ray for each; returns how many."""
-    count, values, part, aim, row = 0, world.values, world.part, samples.aim, samples.row
+    count, values, part, aim, row = 0, setup.scene.values, setup.part, samples.aim, samples.row
     for i in range(len(x.sample)):
         s = x.sample[i]
         if v.power[s] > 0.0:
-            a, c = _row(world, x, i), _row(world, v, s)
+            a, c = _row(setup, x, i), _row(setup, v, s)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
-            photons, r = _photons(values, a, c, world.solid_angle[samples.pixel[s]], by_area, order)
+            photons, r = _photons(values, a, c, setup.solid_angle[samples.pixel[s]], by_area, order)
             if photons > 0.0:
-                path = a.path + r + c.path * world.from_source
-                photons *= transmittance(world.attenuation, r)
+                path = a.path + r + c.path * setup.scene.from_source
+                photons *= transmittance(setup.scene.air, r)
                 _write_path(found, count, s, a.part if order > 2 else c.part, path, photons)
-                _write_shadow_ray(world, rays, count, a.position, a.normal, c.position, c.normal)
+                _write_shadow_ray(setup.scene, rays, count, a.position, a.normal, c.position, c.normal)
                 count += 1
     return count
 
 
 @compiled()
-def landed(world, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
+def landed(setup, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
     `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
     """
-    count, values, part, aim, row, pixel = 0, world.values, world.part, samples.aim, samples.row, samples.pixel
-    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
+    count, values, part, aim, row, pixel = 0, setup.scene.values, setup.part, samples.aim, samples.row, samples.pixel
+    planes, footprints, into, sensor = setup.planes, setup.footprints, setup.into, setup.sensor
     for k in range(len(of)):
-        s, a, c = y.sample[k], _row(world, x, of[k]), _row(world, y, k)
+        s, a, c = y.sample[k], _row(setup, x, of[k]), _row(setup, y, k)
         back, leg = _toward(c.position, sensor)
         # The quick tests come first: few vertices lie in the pixel.
         if dot(c.normal, back) <= 0.0:
@@ -559,37 +553,37 @@ def landed(world, samples, x, y, of, order, found, rays):  # type: ignore[no-unt
         seen = _seen_within(planes, footprints, into, pixel[s], _minus(back))
         if seen > 0.0:
             # As a FoV point the vertex stands for the pixel's whole solid angle.
-            solid = world.solid_angle[pixel[s]]
-            gain = seen * _aperture(world, leg) * solid * transmittance(world.attenuation, leg)
-            end = _vertex(world, c.face, c.position, c.normal, back, gain, 0.0, leg)
+            solid = setup.solid_angle[pixel[s]]
+            gain = seen * _aperture(setup, leg) * solid * transmittance(setup.scene.air, leg)
+            end = _vertex(setup, c.face, c.position, c.normal, back, gain, 0.0, leg)
             by_area = _by_area(aim, part, row[s], c.face) if order == 2 else 0.0
             photons, r = _photons(values, a, end, solid, by_area, order)
             if photons > 0.0:
-                path = a.path + r + leg * world.from_source
-                photons *= transmittance(world.attenuation, r)
+                path = a.path + r + leg * setup.scene.from_source
+                photons *= transmittance(setup.scene.air, r)
                 _write_path(found, count, s, a.part if order > 2 else c.part, path, photons)
-                _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, c.position, c.normal)
+                _write_shadow_ray(setup.scene, rays, count, sensor, NO_NORMAL, c.position, c.normal)
                 count += 1
     return count
 
 
 @compiled()
-def one_bounce(world, samples, x, found, rays):  # type: ignore[no-untyped-def]
+def one_bounce(setup, samples, x, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them;
     and rays with a shadow ray from the sensor for each; returns how many."""
-    count, values, pixel = 0, world.values, samples.pixel
-    planes, footprints, into, sensor = world.planes, world.footprints, world.into, world.sensor
+    count, values, pixel = 0, setup.scene.values, samples.pixel
+    planes, footprints, into, sensor = setup.planes, setup.footprints, setup.into, setup.sensor
     for i in range(len(x.sample)):
-        s, a = x.sample[i], _row(world, x, i)
+        s, a = x.sample[i], _row(setup, x, i)
         w, leg = _toward(a.position, sensor)
         cosine = dot(a.normal, w)
         seen = _seen_within(planes, footprints, into, pixel[s], _minus(w)) if cosine > 0.0 else 0.0
         if seen > 0.0:
             f, _ = _brdf_and_density(values, a, a.back, w)
-            photons = a.power * f * cosine * seen * transmittance(world.attenuation, leg)
-            photons *= _aperture(world, leg) / (leg * leg)
-            _write_path(found, count, s, a.part, a.path + leg * world.from_source, photons)
-            _write_shadow_ray(world, rays, count, sensor, NO_NORMAL, a.position, a.normal)
+            photons = a.power * f * cosine * seen * transmittance(setup.scene.air, leg)
+            photons *= _aperture(setup, leg) / (leg * leg)
+            _write_path(found, count, s, a.part, a.path + leg * setup.scene.from_source, photons)
+            _write_shadow_ray(setup.scene, rays, count, sensor, NO_NORMAL, a.position, a.normal)
             count += 1
     return count
 

@@ -38,23 +38,25 @@ from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
-from datagen.transport.path_steps import Found, Rays, Samples, Vertices, World, head, room
+from datagen.transport.path_steps import Found, PathSetup, Rays, Samples, Vertices, empty_record, head
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import Paths, dots
 from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, sobol_points, stream_seeds
+from datagen.transport.scene_numbers import SceneNumbers
 
 AT_ONCE = 1 << 14
 """Samples in a batch. More take more memory (1 KB each); fewer spend more time between the compiled loops."""
 
 
-class _Room:
+class _Buffers:
     """Arrays for the steps of a batch, used again and again: fresh memory would cost a third of the time."""
 
     def __init__(self, samples: int) -> None:
-        self.rays, self.found, self.of = room(Rays, samples), room(Found, samples), np.empty(samples, np.int64)
-        self.fov, self.beside, self.back = (room(Vertices, samples) for _ in range(3))
+        self.rays, self.found = empty_record(Rays, samples), empty_record(Found, samples)
+        self.of = np.empty(samples, np.int64)
+        self.fov, self.beside, self.back = (empty_record(Vertices, samples) for _ in range(3))
         # A path's last vertex, the one before, and the next one.
-        self.turn = [room(Vertices, samples) for _ in range(3)]
+        self.turn = [empty_record(Vertices, samples) for _ in range(3)]
 
 
 class _Batch:
@@ -64,7 +66,7 @@ class _Batch:
     """
 
     def __init__(self, tracer: Tracer, first: int, last: int) -> None:
-        self.tracer, self.world, self.caster, self.room = tracer, tracer.world, tracer.caster, tracer.room
+        self.tracer, self.setup, self.caster, self.buffers = tracer, tracer.setup, tracer.caster, tracer.buffers
         pair, number = np.divmod(np.arange(first, last), tracer.samples)
         self.laser, pixel = tracer.pairs[pair].T.copy()
         numbers = sobol_points(tracer.seeds[pair], number, steps.DIMENSIONS)
@@ -77,8 +79,8 @@ class _Batch:
 
     def unhidden(self, count: int) -> Found:
         """The first `count` paths, without those whose shadow ray meets something."""
-        rays = head(self.room.rays, count)
-        return rows_of(head(self.room.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
+        rays = head(self.buffers.rays, count)
+        return rows_of(head(self.buffers.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
 
     def laser_points(self) -> Vertices:
         """The laser points x₁ of the samples whose laser ray meets a surface."""
@@ -88,50 +90,51 @@ class _Batch:
             a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
             u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
             points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
-        return head(self.room.turn[2], steps.fill_laser_points(self.world, points, number, self.room.turn[2]))
+        return head(self.buffers.turn[2], steps.fill_laser_points(self.setup, points, number, self.buffers.turn[2]))
 
     def beside(self, v: Vertices) -> Vertices:
         """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
         light; its triangle is −1 for none."""
-        rays = head(self.room.rays, steps.rays_back(self.world, v, self.samples.numbers, self.room.rays))
-        steps.seen_from(self.world, v, rays, self.met(rays), self.room.beside)
-        return self.room.beside
+        rays = head(self.buffers.rays, steps.rays_back(self.setup, v, self.samples.numbers, self.buffers.rays))
+        steps.seen_from(self.setup, v, rays, self.met(rays), self.buffers.beside)
+        return self.buffers.beside
 
     def arrivals(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
         """The vertices that vertices b, the last before the FoV point of paths of `order`, light along the first
         `count` rays, and the row of the b of each."""
-        rays, x = head(self.room.rays, count), self.room.back if returning else self.room.turn[(order + 1) % 3]
-        faces, of = self.met(rays), self.room.of
-        count = steps.arrivals(self.world, self.samples, b, rays, faces, order == 2, returning, x, of)
+        rays, turn = head(self.buffers.rays, count), self.buffers.turn
+        x = self.buffers.back if returning else turn[(order + 1) % 3]
+        faces, of = self.met(rays), self.buffers.of
+        count = steps.arrivals(self.setup, self.samples, b, rays, faces, order == 2, returning, x, of)
         return head(x, count), of[:count]
 
     def join(self, x: Vertices, v: Vertices, order: int) -> int:
         """Number of paths of `order` bounces from vertices x to the FoV points drawn from the pixel; they and their
-        shadow rays are in the room."""
-        return int(steps.joined(self.world, self.samples, x, v, order, self.room.found, self.room.rays))
+        shadow rays are in the buffers."""
+        return int(steps.joined(self.setup, self.samples, x, v, order, self.buffers.found, self.buffers.rays))
 
     def back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
         """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
-        count = steps.toward(self.world, b, h, self.room.rays)
+        count = steps.toward(self.setup, b, h, self.buffers.rays)
         # h was found by a ray from v, so that nothing stands between.
-        return head(self.room.found, self.join(self.arrivals(b, count, order - 1, True)[0], v, order))
+        return head(self.buffers.found, self.join(self.arrivals(b, count, order - 1, True)[0], v, order))
 
     def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
         """The next vertices that the vertices x of `order` light, and the row of the x of each."""
         if order == 2:
-            count = steps.rays_to_second(self.world, self.samples, x, self.room.rays)
+            count = steps.rays_to_second(self.setup, self.samples, x, self.buffers.rays)
         else:
-            count = steps.rays_onward(self.world, self.samples, x, order, self.room.rays)
+            count = steps.rays_onward(self.setup, self.samples, x, order, self.buffers.rays)
         return self.arrivals(x, count, order, False)
 
     def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
         """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
-        found, rays = self.room.found, self.room.rays
-        return self.unhidden(steps.landed(self.world, self.samples, x, y, of, order, found, rays))
+        found, rays = self.buffers.found, self.buffers.rays
+        return self.unhidden(steps.landed(self.setup, self.samples, x, y, of, order, found, rays))
 
     def one_bounce(self, x: Vertices) -> Found:
         """Paths of one bounce: the laser points x themselves where the pixel sees them."""
-        return self.unhidden(steps.one_bounce(self.world, self.samples, x, self.room.found, self.room.rays))
+        return self.unhidden(steps.one_bounce(self.setup, self.samples, x, self.buffers.found, self.buffers.rays))
 
     def survivors(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Vertices:
         """Russian roulette: some of the vertices y, with more power, so that paths end."""
@@ -180,10 +183,10 @@ class Tracer:
         self.seeds = stream_seeds(seed, LightStream.SAMPLED_PATHS, rows)
         self.later = stream_seeds(seed, LightStream.LATER_PATHS, rows)
         self.corners = capture.sensor.pixels - capture.sensor.position
-        self.world = self.world_of(scene, materials)
+        self.setup = self.setup_of(scene, materials)
         self.lasers, self.laser_row = self.points_toward(capture.laser.targets)
         planes = np.column_stack([self.lasers.position, self.lasers.normal])
-        self.room = _Room(min(len(self.pairs) * samples, AT_ONCE))
+        self.buffers = _Buffers(min(len(self.pairs) * samples, AT_ONCE))
         # No more guesses than a batch of samples pays for.
         self.even_aim = aim_of(caster, scene, planes, GUESSES_PER_SAMPLE * min(samples, AT_ONCE))
         middle = caster.corners.mean(axis=1, keepdims=True)
@@ -209,19 +212,19 @@ class Tracer:
         v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
         x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
         x = x._replace(power=x.power * (number >= 0))
-        size = 0.5 * np.sqrt(self.world.solid_angle[pixel]) * v.path
-        return aimed_at(self.even_aim, self.world, x, v, size, self.caster.face_area_m2, self.radius)
+        size = 0.5 * np.sqrt(self.setup.solid_angle[pixel]) * v.path
+        return aimed_at(self.even_aim, self.setup, x, v, size, self.caster.face_area_m2, self.radius)
 
     def fov_points(self, pixel: Ints, numbers: Floats) -> Vertices:
         """FoV points of pixels (n,) at places in the pixel that two numbers (n, 2) give, a row for each; `power` is 0
         where a line of sight meets nothing."""
-        rays, v, solid = head(self.room.rays, len(pixel)), head(self.room.fov, len(pixel)), np.empty(len(pixel))
-        steps.lines_of_sight(self.world, self.corners, pixel, numbers, rays, solid)
+        rays, v, solid = head(self.buffers.rays, len(pixel)), head(self.buffers.fov, len(pixel)), np.empty(len(pixel))
+        steps.lines_of_sight(self.setup, self.corners, pixel, numbers, rays, solid)
         faces = self.caster.closest_scaled(rays.origin, rays.direction)
-        steps.fill_fov_points(self.world, rays, faces, solid, v)
+        steps.fill_fov_points(self.setup, rays, faces, solid, v)
         return v
 
-    def world_of(self, scene: Scene, materials: MaterialTable) -> World:
+    def setup_of(self, scene: Scene, materials: MaterialTable) -> PathSetup:
         """What the compiled loops need to know, but for the density of points by area."""
         caster, sensor = self.caster, self.capture.sensor
         cones, pixels, (x, y, z) = PixelCones.of(sensor), len(sensor.pixels), map(float, sensor.position)
@@ -229,11 +232,11 @@ class Tracer:
         if sensor.footprints is not None:
             a, b, d = (self.corners[:, k] for k in (0, 1, 3))
             footprints, into = sensor.footprints.copy(), np.linalg.inv(np.stack([b - a, d - a, a], axis=2))
-        return World(
-            caster.corners, caster.face_normal, scene.face_part.astype(np.int64), materials.kind, materials.values,
-            float(scene.attenuation_per_m), caster.offset_m, np.array([*caster.center, caster.half_extent_m]),
-            (x, y, z), sensor.aperture_area_m2, sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0,
-            self.capture.time.origin == "source", cones.planes, cones.solid_angle, footprints, into,
+        return PathSetup(
+            SceneNumbers.of(caster, scene, materials, self.capture.time), caster.corners, caster.face_normal,
+            scene.face_part.astype(np.int64), (x, y, z), sensor.aperture_area_m2,
+            sensor.aperture_radius_m**2 if sensor.finite_aperture else 0.0, cones.planes, cones.solid_angle,
+            footprints, into,
         )  # fmt: skip
 
     def points_toward(self, targets: Floats) -> tuple[Vertices, Ints]:
@@ -247,8 +250,8 @@ class Tracer:
         span = origin - position
         leg = np.sqrt(dots(span, span))
         # An emitted photon is shared by all samples.
-        power = np.exp(-self.world.attenuation * leg) / self.samples
-        path, face = leg * self.world.from_source, hits.face[rows].astype(np.int64)
+        power = np.exp(-self.setup.scene.air * leg) / self.samples
+        path, face = leg * self.setup.scene.from_source, hits.face[rows].astype(np.int64)
         points = Vertices(rows, face, position, normal, span / leg[:, None], power, np.zeros(len(rows)), path)
         return points, row
 

@@ -17,6 +17,7 @@ from datagen.transport.laser_points import LaserPoints
 from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import pairs_of
+from datagen.transport.scene_numbers import SceneNumbers
 
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
@@ -73,7 +74,7 @@ class Problem:
 
     Attributes
     ----------
-    points : the laser points. cones : of the pixels. pairs : of both.
+    numbers : of the scene. points : the laser points. cones : of the pixels. pairs : of both.
     seed : of all random numbers.
     split_parts : whether the primary is split by part.
     """
@@ -83,6 +84,7 @@ class Problem:
     accuracy: Accuracy
     caster: Raycaster
     materials: MaterialTable
+    numbers: SceneNumbers
     cones: PixelCones
     points: LaserPoints
     pairs: Pairs
@@ -96,10 +98,11 @@ class Problem:
     ) -> Problem:  # fmt: skip
         """The problem of a scene and a capture. caster : of the scene's triangles, if there is one already."""
         caster = Raycaster(scene) if caster is None else caster
-        cones = PixelCones.of(capture.sensor)
+        materials = MaterialTable.of(scene.materials)
         return cls(
-            scene, capture, accuracy, caster, MaterialTable.of(scene.materials), cones,
-            LaserPoints.of(caster, scene, capture.laser), Pairs.of(capture), seed, split_parts,
+            scene, capture, accuracy, caster, materials, SceneNumbers.of(caster, scene, materials, capture.time),
+            PixelCones.of(capture.sensor), LaserPoints.of(caster, scene, capture.laser), Pairs.of(capture), seed,
+            split_parts,
         )  # fmt: skip
 
     @property

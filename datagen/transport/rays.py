@@ -63,6 +63,11 @@ class Raycaster:
         """How far ray ends are lifted off their surfaces, metres."""
         return SURFACE_OFFSET * self.half_extent_m
 
+    @property
+    def frame(self) -> tuple[float, ...]:
+        """Centre and half extent of embree's unit frame, metres."""
+        return (*map(float, self.center), self.half_extent_m)
+
     def closest(self, origins: Floats, directions: Floats) -> Hits:
         """First surface along each ray: origins (n, 3) metres, off any surface; directions (n, 3) of any length."""
         # A copy, so that `_refine` is compiled for one layout.
@@ -112,13 +117,12 @@ class Raycaster:
 
 
 @compiled()
-def lifted_and_scaled(p, n, offset, scale):  # type: ignore[no-untyped-def]
-    """The point p + offset · n, metres, in embree's unit frame; scale : the frame's centre and half extent,
-    metres."""
+def lifted_and_scaled(p, n, offset, frame):  # type: ignore[no-untyped-def]
+    """The point p + offset · n, metres, in embree's unit frame; frame : its centre and half extent, metres."""
     return (
-        np.float32((p[0] + offset * n[0] - scale[0]) / scale[3]),
-        np.float32((p[1] + offset * n[1] - scale[1]) / scale[3]),
-        np.float32((p[2] + offset * n[2] - scale[2]) / scale[3]),
+        np.float32((p[0] + offset * n[0] - frame[0]) / frame[3]),
+        np.float32((p[1] + offset * n[1] - frame[1]) / frame[3]),
+        np.float32((p[2] + offset * n[2] - frame[2]) / frame[3]),
     )
 
 

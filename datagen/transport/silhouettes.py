@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import Vector, dot
-from datagen.transport.cut_elements import Room
+from datagen.transport.cut_elements import CutSetup
 from datagen.transport.cut_steps import change_over_cluster
 from datagen.transport.cuts import Cuts, outer_sides
 from datagen.transport.fov_clusters import SQUARES, FovClusters
@@ -90,12 +90,12 @@ class Cells(NamedTuple):
 class Ends(NamedTuple):
     """Laser points and FoV points, and what of the static room their light meets.
 
-    room : of cuts. seen : FoV points of all pixels, of both replicates. middle : (P, 3) directions from the middles
+    setup : of cuts. seen : FoV points of all pixels, of both replicates. middle : (P, 3) directions from the middles
     of pixels to the sensor. corners, normal, part : (F, 3, 3), (F, 3), (F,) of the static triangles. slot : (K,) row
     of the light by way of a part.
     """
 
-    room: Room
+    setup: CutSetup
     seen: FovClusters
     middle: Floats
     corners: Floats
@@ -162,14 +162,14 @@ class Shadows:
         middle = sensor.position - seen.cluster[:, 0, :3]
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
         part = problem.scene.face_part[: len(self.caster.corners)].astype(np.int64)
-        return Ends(self.cuts.room, seen, middle, self.caster.corners, self.caster.face_normal, part, self.slot)
+        return Ends(self.cuts.setup, seen, middle, self.caster.corners, self.caster.face_normal, part, self.slot)
 
     def _add(
         self, jobs: Jobs, side: int, replicate: int, seed: int, ends: Ends, light: Floats, outside: Floats
     ) -> None:  # fmt: skip
         """Adds a replicate of the blocked light of some histograms, summed over the instants of their exposures, to
         light (S, F n, T) and outside (F n,)."""
-        L, P = len(ends.room.lasers.part), len(ends.middle)
+        L, P = len(ends.setup.lasers.part), len(ends.middle)
         # The moments of an instant, in all frames, come one after another.
         moment = np.arange(self.instants)[:, None, None] * self.frames + jobs.frame
         laser, pixel = (np.broadcast_to(of, moment.shape).ravel() for of in (jobs.laser, jobs.pixel))
@@ -182,7 +182,7 @@ class Shadows:
         pixels, at_pixel = np.unique(pixel, return_inverse=True)
         pairs, of_pair = np.unique(at_laser * len(pixels) + at_pixel, return_inverse=True)
         pair = np.column_stack([pairs // len(pixels), pairs % len(pixels)])
-        points, cluster = ends.room.lasers, ends.seen.cluster[:, 0]
+        points, cluster = ends.setup.lasers, ends.seen.cluster[:, 0]
         views = Views.of(points.position, points.normal, seed), Views.of(cluster[:, :3], cluster[:, 3:6], seed + 1)
         drawn_x = self._pictures(views[0], of_x % L, of_x // L, of_x % L, side)
         if self._is_confocal(ends):
@@ -211,7 +211,7 @@ class Shadows:
         row = ends.seen.cluster[:, 0]
         if self.cuts.problem.capture.pairing != "confocal":
             return False
-        return bool((np.linalg.norm(ends.room.lasers.position - row[:, :3], axis=1) <= row[:, 6]).all())
+        return bool((np.linalg.norm(ends.setup.lasers.position - row[:, :3], axis=1) <= row[:, 6]).all())
 
     def _pictures(self, views: Views, of_view: Ints, moment: Ints, laser: Ints, side: int) -> Pictures:
         """Pictures from views `of_view`, of movers as they are at a moment of a laser point."""
@@ -284,7 +284,7 @@ def _mark(drawn, of_view, ring, side, at):  # type: ignore[no-untyped-def]
 def _aim(view, cell, views, side, is_pixel, replicate, seed, ends, point, start, direction, origin, span):  # type: ignore[no-untyped-def]
     """Sets what `Cells` says of rays of some views (n,) through cells (n,), and origin and span (n, 3) in embree's
     frame."""
-    room, seen = ends.room, ends.seen
+    setup, seen = ends.setup, ends.seen
     squares = len(seen.part) // (2 * len(seen.cluster))
     for k in range(len(cell)):
         v, c = view[k], cell[k]
@@ -298,10 +298,10 @@ def _aim(view, cell, views, side, is_pixel, replicate, seed, ends, point, start,
             q = v * 2 * squares + point[k]
             p, n = get(seen.position, q, 0), get(seen.normal, q, 0)
         else:
-            p, n = get(room.lasers.position, v, 0), get(room.lasers.normal, v, 0)
+            p, n = get(setup.lasers.position, v, 0), get(setup.lasers.normal, v, 0)
         put(start, k, 0, p)
         put(direction, k, 0, d)
-        origin[k, 0], origin[k, 1], origin[k, 2] = lifted_and_scaled(p, n, room.offset, room.frame)
+        origin[k, 0], origin[k, 1], origin[k, 2] = lifted_and_scaled(p, n, setup.scene.offset, setup.scene.frame)
         span[k, 0], span[k, 1], span[k, 2] = np.float32(d[0]), np.float32(d[1]), np.float32(d[2])
 
 
@@ -324,8 +324,8 @@ def _set_depths(start, direction, ends, face, depth):  # type: ignore[no-untyped
 def _link(pair, lasers, pixels, cells, which, replicate, side, ends, light, row, origin, span):  # type: ignore[no-untyped-def]
     """Sets light (m,) of some pairs through their cells, and rays from the hidden points to the ends that did not see
     them first, in embree's frame; returns the number of rays. row : the number of each ray's light."""
-    room, seen, used, at = ends.room, ends.seen, 0, 0
-    points, lit_by = len(seen.part) // len(seen.cluster), room.lasers
+    setup, seen, used, at = ends.setup, ends.seen, 0, 0
+    points, lit_by = len(seen.part) // len(seen.cluster), setup.lasers
     for number in range(len(pair)):
         i, p = lasers[pair[number, 0]], pixels[pair[number, 1]]
         view = pair[number, which]
@@ -333,28 +333,28 @@ def _link(pair, lasers, pixels, cells, which, replicate, side, ends, light, row,
             at += 1
             light[at - 1] = 0.0
             j, f = p * points + cells.point[k], cells.face[k]
-            if f < 0 or lit_by.part[i] < 0 or seen.part[j] < 0 or room.power[i] <= 0.0:
+            if f < 0 or lit_by.part[i] < 0 or seen.part[j] < 0 or setup.power[i] <= 0.0:
                 continue
             x, z, n = get(lit_by.position, i, 0), get(seen.position, j, 0), get(ends.normal, f, 0)
             s, d, t = get(cells.start, k, 0), get(cells.direction, k, 0), cells.depth[k]
             y = (s[0] + t * d[0], s[1] + t * d[1], s[2] + t * d[2])
             n1, n3 = get(lit_by.normal, i, 0), get(seen.normal, j, 0)
-            lit = End(x, n1, get(lit_by.to_laser, i, 0), brdf_of(room.kind, room.values, lit_by.part[i]))
-            to = End(z, n3, get(seen.to_sensor, j, 0), brdf_of(room.kind, room.values, seen.part[j]))
-            own = brdf_of(room.kind, room.values, ends.part[f])
-            w, _, _ = weight(y, n, own, lit, to, room.values, 0.0, room.air)
+            lit = End(x, n1, get(lit_by.to_laser, i, 0), brdf_of(setup.scene, lit_by.part[i]))
+            to = End(z, n3, get(seen.to_sensor, j, 0), brdf_of(setup.scene, seen.part[j]))
+            own = brdf_of(setup.scene, ends.part[f])
+            w, _, _ = weight(y, n, own, lit, to, setup.scene.values, 0.0, setup.scene.air)
             if w <= 0.0:
                 continue
             # Of the solid angle of the cell, where its ray goes, to the area that it meets.
             length, cosine = math.sqrt(dot(d, d)), abs(dot(n, d))
             area = (2.0 / side) ** 2 / length**3 * (t * length) ** 2 * length / cosine
-            light[at - 1] = w * area * room.power[i] * seen.weight[j] * (points // 2)
-            up = room.offset if dot(n, d) < 0.0 else -room.offset
-            o = lifted_and_scaled(y, n, up, room.frame)
+            light[at - 1] = w * area * setup.power[i] * seen.weight[j] * (points // 2)
+            up = setup.scene.offset if dot(n, d) < 0.0 else -setup.scene.offset
+            o = lifted_and_scaled(y, n, up, setup.scene.frame)
             e = (
-                lifted_and_scaled(z, n3, room.offset, room.frame)
+                lifted_and_scaled(z, n3, setup.scene.offset, setup.scene.frame)
                 if which == 0
-                else lifted_and_scaled(x, n1, room.offset, room.frame)
+                else lifted_and_scaled(x, n1, setup.scene.offset, setup.scene.frame)
             )
             for q in range(3):
                 origin[used, q], span[used, q] = o[q], e[q] - o[q]
@@ -484,7 +484,7 @@ def _deposit(histogram, t, one, two, light):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _spread(cell, legs, bits, cluster, room, side):  # type: ignore[no-untyped-def]
+def _spread(cell, legs, bits, cluster, setup, side):  # type: ignore[no-untyped-def]
     """What covered places take of the light of a cell; its time, bins, and the two widths that it is spread over.
 
     cluster : (18,) of the pixel.
@@ -504,18 +504,18 @@ def _spread(cell, legs, bits, cluster, room, side):  # type: ignore[no-untyped-d
         _path(cell, legs, a - step, b), _path(cell, legs, a + step, b), _path(cell, legs, a, b - step),
         _path(cell, legs, a, b + step),
     )  # fmt: skip
-    ga, gb = room.per_metre * (a2 - a1), room.per_metre * (b2 - b1)
+    ga, gb = setup.per_metre * (a2 - a1), setup.per_metre * (b2 - b1)
     tilt_a = tilt_b = 0.0
     if own > 0.0:
         tilt_a = min(max((_density(cell, legs, a + step, b) - _density(cell, legs, a - step, b)) / own, -2.0), 2.0)
         tilt_b = min(max((_density(cell, legs, a, b + step) - _density(cell, legs, a, b - step)) / own, -2.0), 2.0)
     late = ga * (tilt_a * aa + tilt_b * ab) + gb * (tilt_b * bb + tilt_a * ab)
-    late += 2.0 * room.per_metre * ((a1 + a2 - 2.0 * path) * aa + (b1 + b2 - 2.0 * path) * bb)
+    late += 2.0 * setup.per_metre * ((a1 + a2 - 2.0 * path) * aa + (b1 + b2 - 2.0 * path) * bb)
     mean = one = two = 0.0
     if cluster[17] > 0.0:
         y, _ = _hidden_point(cell, a, b)
-        mean, one, two = change_over_cluster(y, legs.seen, cluster, room.device)
-    one, two = one * room.per_metre, two * room.per_metre
+        mean, one, two = change_over_cluster(y, legs.seen, cluster, setup.scene.from_source)
+    one, two = one * setup.per_metre, two * setup.per_metre
     # Four even spreads as two: the widest of them, and one with the variance of the others.
     w1, w2 = 12.0 * ga * ga * aa, 12.0 * gb * gb * bb
     cross_term = 24.0 * ga * gb * ab
@@ -525,16 +525,16 @@ def _spread(cell, legs, bits, cluster, room, side):  # type: ignore[no-untyped-d
     most, every = max(w1, w2, w3, w4), total + w3 + w4
     rest = min(max(every - most, 0.0), 0.5 * every)
     wide, narrow = math.sqrt(every - rest), math.sqrt(rest)
-    return light, (path + mean) * room.per_metre + late - room.start, wide, narrow
+    return light, (path + mean) * setup.per_metre + late - setup.start, wide, narrow
 
 
 @compiled(forceinline=True, allocates=False)
 def _legs_of(ends, i, p, j):  # type: ignore[no-untyped-def]
     """The `_Legs` of laser point i and FoV point j of pixel p."""
-    room, seen = ends.room, ends.seen
-    points, row = room.lasers, seen.cluster[p]
+    setup, seen = ends.setup, ends.seen
+    points, row = setup.lasers, seen.cluster[p]
     z, is_flat = get(seen.position, j, 0), row[0, 17] > 0.0
-    leg = points.leg[i] + (row[0, 17] if is_flat else seen.leg[j]) if room.device else 0.0
+    leg = points.leg[i] + (row[0, 17] if is_flat else seen.leg[j]) if setup.scene.from_source else 0.0
     middle = Middle(get(row, 0, 0) if is_flat else z, get(ends.middle, p, 0))
     return _Legs(get(points.position, i, 0), get(points.normal, i, 0), z, get(seen.normal, j, 0), middle, leg)
 
@@ -652,13 +652,13 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
     to work in; bits are 0 before and after, done −1 before.
     """
     (drawn_x, drawn_z), (x_cells, z_cells), (x_light, z_light), (x_views, z_views) = drawn, cells, flows, views
-    room, seen = ends.room, ends.seen
+    setup, seen = ends.setup, ends.seen
     points = len(seen.part) // len(seen.cluster)
     for h in range(len(job)):
         mx, mz, pair, view_x, view_z, i, p, to_row = (
             job[h, 0], job[h, 1], job[h, 2], job[h, 3], job[h, 4], job[h, 5], job[h, 6], job[h, 7]
         )  # fmt: skip
-        if room.lasers.part[i] < 0 or seen.cluster[p, 0, 9] <= 0.0:
+        if setup.lasers.part[i] < 0 or seen.cluster[p, 0, 9] <= 0.0:
             continue
         row = seen.cluster[p, 0]
         for e in range(drawn_x.first[mx], drawn_x.first[mx + 1]):
@@ -672,7 +672,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                         _cell_at(x_cells, k, x_views, i, ends, side),
                         _legs_of(ends, i, p, p * points + x_cells.point[k]),
                     )
-                    taken, time, wide, narrow = _spread(cell, legs, drawn_x.bits[e], row, room, side)
+                    taken, time, wide, narrow = _spread(cell, legs, drawn_x.bits[e], row, setup, side)
                     if drawn_x.bits[e] == FULL:
                         # Whatever the frame.
                         known[0], known[1], known[2] = time, wide, narrow
@@ -701,7 +701,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                 found = _seen_but_not_lit(cell, legs, nearest, shift, i, x_views, side, bits, near)
                 if found != 0:
                     to = light[ends.slot[ends.part[z_cells.face[k]]], to_row]
-                    taken, time, wide, narrow = _spread(cell, legs, found, row, room, side)
+                    taken, time, wide, narrow = _spread(cell, legs, found, row, setup, side)
                     outside[to_row] += _deposit(to, time, wide, narrow, taken * own)
         _take(drawn_x, mx, bits[0], near[0], False)
         _take(drawn_z, mz, bits[1], near[1], False)

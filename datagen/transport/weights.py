@@ -39,9 +39,9 @@ class End(NamedTuple):
 
 
 @compiled(forceinline=True, allocates=False)
-def brdf_of(kind, values, k):  # type: ignore[no-untyped-def]
-    """The BRDF in row k of a table of materials."""
-    return Brdf(kind[k], values[k, 0], k)
+def brdf_of(scene, k):  # type: ignore[no-untyped-def]
+    """The BRDF of part k. scene : `SceneNumbers`."""
+    return Brdf(scene.kind[k], scene.values[k, 0], k)
 
 
 @compiled(forceinline=True, allocates=False)

@@ -192,7 +192,7 @@ MUTATIONS = (
     ),
     Mutation(
         "times: without the leg from the laser", "cut_steps.py",
-        "lasers.leg[i] if room.device else 0.0", "0.0 * lasers.leg[i]",
+        "lasers.leg[i] if setup.scene.from_source else 0.0", "0.0 * lasers.leg[i]",
         EQUIVALENCE + "test_cuts_and_paths.py::test_scans",
     ),
     Mutation(
@@ -209,7 +209,7 @@ MUTATIONS = (
     ),
     Mutation(
         "blocks: legs to the ends without air", "blocks.py",
-        "* ends.gain[e] * math.exp(-world.air * r)", "* ends.gain[e]",
+        "* ends.gain[e] * math.exp(-scene.air * r)", "* ends.gain[e]",
         SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
@@ -240,7 +240,7 @@ MUTATIONS = (
     ),
     Mutation(
         "blocks: light half a bin early", "blocks.py",
-        "r * world.per_metre - world.start + 1.0", "r * world.per_metre - world.start + 0.5",
+        "r * bins.per_metre - bins.start + 1.0", "r * bins.per_metre - bins.start + 0.5",
         PHYSICS + "test_blocks.py::test_arrival_times_inside_of_a_sphere[4]",
     ),
     # Plain paths.
@@ -262,7 +262,7 @@ MUTATIONS = (
     Mutation(
         "paths: no shadow ray to the FoV point", "paths.py",
         "yield order, self.unhidden(self.join(x, v, order))",
-        "yield order, head(self.room.found, self.join(x, v, order))",
+        "yield order, head(self.buffers.found, self.join(x, v, order))",
         OCCLUDER + "[0.1-paths]",
     ),
     Mutation(
@@ -353,7 +353,7 @@ MUTATIONS = (
     ),
     Mutation(
         "cuts: what cannot arrive within the window is cut as what can", "cut_elements.py",
-        "return late * room.per_metre > room.start and", "return True or",
+        "return late * setup.per_metre > setup.start and", "return True or",
         DARK + "test_little_light_is_found_where_it_is",
     ),
     Mutation(
