@@ -201,19 +201,23 @@ def isolated_wall(
     screen_to_wall_m: float,
     screen_offset_m: float,
     space_width_m: float,
+    space_back_m: float = 0.0,
     **approach: float,
 ) -> FloorPlan:
     """The classic bench: a relay wall in free space, and a screen beside the device that hides the objects.
 
     The screen runs along the line of sight, `screen_offset_m` to its side, and ends `screen_to_wall_m` before the
-    wall; objects stand beyond that end, up to `space_width_m` (or the wall's own end) to the side. Wall and screen
-    are `height_m` high: a segment between two points no higher than the screen never passes above it.
+    wall; objects stand beyond that end, up to `space_width_m` (or the wall's own end) to the side, and up to
+    `space_back_m` back from that end beside the screen. Wall and screen are `height_m` high: a segment between two
+    points no higher than the screen never passes above it.
     """
     ahead = _Approach(**approach)
     low, high = ahead.sides(wall_width_m)
     end, corner = ahead.relay_distance_m, ahead.corner(screen_to_wall_m, "screen_to_wall_m")
-    behind, right, left = -0.5, low - 0.01, max(screen_offset_m + space_width_m, high + 0.01)
-    outline = [(behind, right), (end, right), (end, low), (end, high), (end, left), (corner, left), (behind, left)]
+    back, right, left = corner - space_back_m, low - 0.01, max(screen_offset_m + space_width_m, high + 0.01)
+    # The screen begins behind all objects, so that the device sees none of them past its near end either.
+    behind = min(-0.5, back - 0.5)
+    outline = [(behind, right), (end, right), (end, low), (end, high), (end, left), (back, left), (behind, left)]
     screen = np.array([(behind, screen_offset_m), (corner, screen_offset_m)])
     return FloorPlan(np.array(outline), 2, ahead.height_m, ahead.device, (4, 5), open_air=True, screen=screen)
 

@@ -140,7 +140,7 @@ class DoorwayRoom(Closed):
 
 NEAR_THE_WALL = Uniform(uniform=(0.3, 0.5))
 """Default distance of the device from the relay wall's plane with place `in_front`: nearer than the objects."""
-BESIDE_ONLY = ("device_offset", "screen_to_wall_m", "screen_offset_m", "space_width_m")
+BESIDE_ONLY = ("device_offset", "screen_to_wall_m", "screen_offset_m", "space_width_m", "space_back_m")
 IN_FRONT_ONLY = ("beside_m", "space_depth_m")
 """Keys that have a meaning with one `place` only; a configuration with the other place does not have them."""
 
@@ -166,6 +166,9 @@ class IsolatedWall(Layout):
     """From the line of sight to the screen; beside alone."""
     space_width_m: Length = Uniform(uniform=(2.0, 3.0))
     """From the screen to the far side of the space that holds the objects; beside alone."""
+    space_back_m: Length | None = None
+    """From the end of the screen back to the far side of that space; beside alone. Left out, objects stand between
+    the relay wall and the end of the screen, and none beside the screen."""
     beside_m: Length = Uniform(uniform=(0.8, 1.2))
     """How far to the side of the wall's nearer end the device stands; in_front alone."""
     space_depth_m: Length = Uniform(uniform=(1.8, 2.4))
@@ -190,7 +193,8 @@ class IsolatedWall(Layout):
 
     def dimensions(self) -> dict[str, Distribution]:
         """As for every layout, those of its place."""
-        return {name: value for name, value in super().dimensions().items() if name not in self._keys_of_the_other}
+        every = super().dimensions()
+        return {name: of for name, of in every.items() if of is not None and name not in self._keys_of_the_other}
 
 
 class NoLayout(Layout):

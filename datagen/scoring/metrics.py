@@ -63,3 +63,8 @@ def center_distances(found: Floats, true: Floats, missed_m: float) -> Floats:
     rows, columns = linear_sum_assignment(apart)
     distances[rows] = apart[rows, columns]
     return distances
+
+
+def quantile(values: Floats, share: float) -> float:
+    """A quantile of some values; NaN if there are none."""
+    return float(np.quantile(values, share)) if values.size else float("nan")

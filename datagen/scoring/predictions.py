@@ -53,13 +53,16 @@ class Form:
     """What a predicted array must look like.
 
     shape : of one scene; None stands for any number.
-    unit : `m` and `m/s`, for which rows of three NaN are fill; `depth`, metres ≥ 0; `share`, numbers in 0 … 1.
+    unit : `m` and `m/s`, for which rows of NaN are fill; `depth`, metres ≥ 0; `share`, numbers in 0 … 1; `class`,
+        whole numbers from 0 on.
     size_m : size of the hidden part, metres, beside which lengths in another unit than metres are noticed.
+    classes : number of classes.
     """
 
     shape: tuple[int | None, ...]
     unit: str
     size_m: float = math.inf
+    classes: int = 0
 
 
 @dataclass(frozen=True)
@@ -219,12 +222,21 @@ def _values_wanted(
     if form.unit in ("m", "m/s"):
         fill = np.isnan(values)
         if (fill.any(axis=-1) != fill.all(axis=-1)).any() or np.isinf(values).any():
-            raise InputError(f"{where} has rows that are neither three finite numbers nor three NaN (fill)")
+            many = "two" if form.shape[-1] == 2 else "three"
+            raise InputError(f"{where} has rows that are neither {many} finite numbers nor {many} NaN (fill)")
         _check_metres(where, np.linalg.norm(values[~fill.any(axis=-1)], axis=-1), form)
         return values
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         raise InputError(f"{where} has values that are not finite, in scene {scenes[bad[0][0]]}")
+    if form.unit == "class":
+        bad = np.argwhere((values < 0) | (values >= form.classes) | (values != np.floor(values)))
+        if len(bad):
+            raise InputError(
+                f"{where} = {values[tuple(bad[0])]:g}, in scene {scenes[bad[0][0]]}: must be the number of a class, "
+                f"0 … {form.classes - 1}"
+            )
+        return values
     bad = np.argwhere((values < 0) | (values > (np.inf if form.unit == "depth" else 1.0)))
     if len(bad):
         allowed = "≥ 0 (m; 0: empty)" if form.unit == "depth" else "in 0 … 1"

@@ -14,7 +14,7 @@ import numpy as np
 from datagen.labels.frame import image_points
 from datagen.records.arrays import Bools, Floats
 from datagen.records.checks import check_kind, check_path
-from datagen.scoring import tracks
+from datagen.scoring import single_objects, tracks
 from datagen.scoring.metrics import center_distances, chamfer_distance, intersection_over_union, ssim
 from datagen.scoring.predictions import Predictions, read_predictions
 from datagen.scoring.truth import Truth, read_truth
@@ -33,8 +33,10 @@ TITLES = {
     "center_m": "distance of objects' centres (m)",
 }
 """Metric of single scenes → its title for people."""
-MOVING = (tracks.TITLES, "each frame changes by")
-"""Titles of the metrics of sequences, and what has evidence there."""
+KINDS = (
+    (TITLES, "every object has"), (tracks.TITLES, "each frame changes by"), (single_objects.TITLES, "the object has"),
+)  # fmt: skip
+"""Titles of the metrics of single scenes, of sequences and of single objects, and what has evidence there."""
 Metrics = dict[str, float]
 
 
@@ -64,7 +66,7 @@ class Scores:
     def table(self) -> str:
         """The scores as a table for people."""
         state = "as published" if self.published else "not one of the published suites"
-        titles, has = (TITLES, "every object has") if self.all.keys() <= TITLES.keys() else MOVING
+        titles, has = next(kind for kind in KINDS if self.all.keys() <= kind[0].keys())
         width = max(map(len, titles.values()))
         lines = [
             f"{self.dataset} ({state}), split {self.split}: {self.scenes} scenes, in {self.scenes_with_evidence} of "
@@ -87,11 +89,13 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     Parameters
     ----------
     suite : the folder that `build_suite` made, or any dataset with the fields depth, part_id and objects; of
-        sequences with the field objects.
+        sequences, and of scenes with one object each, with the field objects.
     predictions : an `.npz` file, a Zarr group, or a mapping: `scene` (N,) and any of `depth` (N, row, column) in m,
         `mask` (N, row, column) whether an object is seen, `points` (N, M, 3) and `centers` (N, K, 3) in the label
         frame (rows of NaN are fill), `occupancy` (N, depth, row, column) in 0 … 1. Of sequences `centers`
-        (N, F, K, 3) of what moves and, if they are to be scored, its `velocities` (N, F, K, 3) in m/s.
+        (N, F, K, 3) of what moves and, if they are to be scored, its `velocities` (N, F, K, 3) in m/s. Of scenes with
+        one object each and without depth any of its `places` (N, 2) along right and depth in m, `classes` (N,), which
+        are numbers of the dataset's classes, and `heights` (N,) in m.
         docs/datasets.md defines them.
     split : the split whose scenes must all be predicted.
 
@@ -107,6 +111,8 @@ def score(suite: str | Path, predictions: str | Path | Mapping[str, Any], split:
     check_kind("split", split, str, remedy="such as 'test'")
     manifest = read_manifest(suite)
     of = _of_scenes if manifest.frames is None else _of_sequences
+    if manifest.frames is None and single_objects.has_single_objects(manifest):
+        of = _of_single_objects
     scenes, evident, every, with_evidence = of(suite, manifest, predictions, split)
     named, published = str(manifest.config["name"]), is_published(suite, manifest)
     return Scores(named, published, split, scenes, evident, every, with_evidence)
@@ -129,6 +135,12 @@ def _of_sequences(dataset: str | Path, manifest: Manifest, predictions: Any, spl
     errors = tracks.track_errors(predictions, truth)
     every, evident = (tracks.track_metrics(errors, only) for only in (False, True))
     return len(truth.scenes), int((truth.evident | ~truth.moves).all(axis=1).sum()), every, evident
+
+
+def _of_single_objects(dataset: str | Path, manifest: Manifest, predictions: Any, split: str) -> Found:
+    truth = single_objects.read_single_objects(dataset, manifest, split)
+    every, evident = single_objects.metrics_of(predictions, truth)
+    return len(truth.scenes), int(truth.evident.sum()), every, evident
 
 
 def _metrics(

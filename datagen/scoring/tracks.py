@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from datagen.errors import InputError
 from datagen.records.arrays import Bools, Floats, Ints
 from datagen.records.checks import as_given
+from datagen.scoring.metrics import quantile
 from datagen.scoring.predictions import Form, Wanted, named, read_arrays
 from datagen.scoring.truth import labels_of, scenes_of_split
 from datagen.store import Manifest
@@ -168,14 +169,10 @@ def track_metrics(errors: TrackErrors, evident: bool) -> dict[str, float]:
     chosen = errors.evident if evident else np.ones(len(errors.evident), np.bool_)
     center = errors.center_m[chosen]
     values = {
-        "center_median_m": _quantile(center, 0.5), "center_p90_m": _quantile(center, 0.9),
+        "center_median_m": quantile(center, 0.5), "center_p90_m": quantile(center, 0.9),
         "center_within_25_cm": float(np.mean(center <= NEAR_M)) if center.size else float("nan"),
     }  # fmt: skip
     if errors.velocity_m_s is not None:
         speed = errors.velocity_m_s[chosen]
-        values |= {"velocity_median_m_s": _quantile(speed, 0.5), "velocity_p90_m_s": _quantile(speed, 0.9)}
+        values |= {"velocity_median_m_s": quantile(speed, 0.5), "velocity_p90_m_s": quantile(speed, 0.9)}
     return values
-
-
-def _quantile(values: Floats, share: float) -> float:
-    return float(np.quantile(values, share)) if values.size else float("nan")

@@ -116,6 +116,25 @@ def test_counts_are_even_over_their_range() -> None:
     assert stats.chisquare(np.bincount(counts, minlength=4)).pvalue > 1e-3
 
 
+@pytest.mark.parametrize("turn", ["left", "right"])
+def test_objects_stand_beside_the_screen_where_the_space_reaches_back(turn: str) -> None:
+    """Behind the device, too, which sees none of them; without the key rooms are what they were."""
+    layout = {"kind": "isolated_wall", "turn": turn, "relay_distance_m": 2.0, "screen_to_wall_m": 1.8}
+    box = {"kind": "box", "width_m": 0.2, "depth_m": 0.2, "height_m": 0.4, "distance_m": {"uniform": [2.3, 2.7]}}
+    spec = config_from_mapping({"scene": {"layout": layout | {"space_back_m": 1.0}, "contents": [box]}}).scene
+    for index in range(4):
+        scene = generate_scene(spec, 2, index)
+        assert scene.parameters["box.x_m"] < 0 and scene.parameters["layout.space_back_m"] == 1.0
+        rng = np.random.default_rng(index)
+        assert_nothing_intersects(scene)
+        assert_hidden(scene, rng)
+        assert_seen_from_wall(scene, rng)
+        assert scene.hidden_bounds is not None
+        assert scene.hidden_bounds[0, 0] == pytest.approx(0.2 - 1.0)
+    near = {"scene": {"layout": layout, "contents": [box | {"distance_m": 1.0}]}}
+    assert "layout.space_back_m" not in generate_scene(config_from_mapping(near).scene, 2, 0).parameters
+
+
 @pytest.mark.parametrize("scale", [0.1, 100.0])
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_rooms_of_every_size(kind: str, scale: float) -> None:
