@@ -202,34 +202,34 @@ MUTATIONS = (
     ),
     # Blocks.
     Mutation(
-        "blocks: light of an end without its cosine", "blocks.py",
+        "blocks: light of an end without its cosine", "block_steps.py",
         "evaluate(k, row, m, back, v) * up * down / r**2 * ends.gain[e]",
         "evaluate(k, row, m, back, v) * down / r**2 * ends.gain[e]",
         BLOCKS_IN_SPHERE + "[4]",
     ),
     Mutation(
-        "blocks: legs to the ends without air", "blocks.py",
+        "blocks: legs to the ends without air", "block_steps.py",
         "* ends.gain[e] * math.exp(-scene.air * r)", "* ends.gain[e]",
         SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
-        "blocks: density of vertices without the cosine there", "blocks.py",
+        "blocks: density of vertices without the cosine there", "block_steps.py",
         "x.density[i, h] = pdf(k, row, m, back, v) * down / r**2",
         "x.density[i, h] = pdf(k, row, m, back, v) * math.copysign(1.0, down) / r**2",
         BLOCKS_IN_SPHERE + "[4]",
     ),
     Mutation(
-        "blocks: hidden legs keep their light", "blocks.py",
+        "blocks: hidden legs keep their light", "block_steps.py",
         "x.light[i, h] = x.density[i, h] = 0.0", "x.density[i, h] = 0.0",
         SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
         "blocks: no shadow rays between the vertices of pairs", "blocks.py",
-        "[self.hidden(origin[:k], span[:k]),", "[np.zeros(k, np.bool_),",
+        "[self.is_hidden(origin[:k], span[:k]),", "[np.zeros(k, np.bool_),",
         SHADOWS_AND_AIR + "[4]",
     ),
     Mutation(
-        "blocks: heuristic without the way back", "blocks.py",
+        "blocks: heuristic without the way back", "block_steps.py",
         "expected += rays * (onto_y * abs(down) + back_way)", "expected += rays * (onto_y * abs(down))",
         BLOCKS_IN_SPHERE + "[4]",
     ),
@@ -239,7 +239,7 @@ MUTATIONS = (
         BLOCKS_IN_SPHERE + "[all from 5]",
     ),
     Mutation(
-        "blocks: light half a bin early", "blocks.py",
+        "blocks: light half a bin early", "block_steps.py",
         "r * bins.per_metre - bins.start + 1.0", "r * bins.per_metre - bins.start + 0.5",
         PHYSICS + "test_blocks.py::test_arrival_times_inside_of_a_sphere[4]",
     ),
