@@ -25,7 +25,7 @@ from datagen.config.scene_layouts import NoLayout
 from datagen.design.light import coarse_transient, light_of, transport_effects
 from datagen.design.scene_for import without_floors
 from datagen.detector import Exposure, Spad, detector_for
-from datagen.detector.own_light import own_light, squared_over
+from datagen.detector.own_light import own_light, squares_over
 from datagen.detector.spad import MAX_CYCLES
 from datagen.errors import InputError
 from datagen.evidence.change import change_squares
@@ -144,7 +144,7 @@ def _of_evidence(
     parts, unbounded = [transient.parts[name] for name in scene.objects], replace(spad, counter_max=None)
     blocks = [*own_light(transient.total, parts, transient.time, unbounded, exposure)]
     counts = np.concatenate([block.everything.reshape(-1) for block in blocks])
-    squares = [[squared_over(own, block.everything).reshape(-1) for own in block.own] for block in blocks]
+    squares = [[squares_over(own, block.everything).reshape(-1) for own in block.own] for block in blocks]
     each = np.concatenate([np.stack(of) for of in squares], axis=1)
     return _pilot(spad, exposure, longest_s, counts[None], each[:, None])
 

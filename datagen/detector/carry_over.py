@@ -10,7 +10,7 @@ MOST_CARRIED = 1e-2
 """Largest share of a histogram's counts that may be left out: counting noise is 3 % or more of a histogram."""
 
 
-def carried_over(spad: Spad, exposure: Exposure) -> float:
+def share_carried_over(spad: Spad, exposure: Exposure) -> float:
     """A bound of the share of counts that the end of the exposure before may add or remove: its last dead time, and
     afterpulses of its last release times, over the exposure. 0 for a detector that is armed afresh at each pulse, or
     counts everything."""
@@ -22,7 +22,7 @@ def carried_over(spad: Spad, exposure: Exposure) -> float:
 
 def check_carry_over(spad: Spad, exposure: Exposure) -> None:
     """Raise `InputError` if exposures are so short that what one leaves to the next one matters."""
-    share = carried_over(spad, exposure)
+    share = share_carried_over(spad, exposure)
     if share > MOST_CARRIED:
         dwell_s = exposure.cycles * exposure.period_s
         raise InputError(

@@ -18,7 +18,7 @@ from datagen.detector.expected import (
     saturated_mean,
 )
 from datagen.detector.flux import Cycle
-from datagen.detector.measurement import Measurement, merged
+from datagen.detector.measurement import Measurement, with_bins_merged
 from datagen.detector.random_numbers import draw_poisson, generator_of
 from datagen.detector.sampler_choice import DEFAULT_TOLERANCE, Choices, Sampler, SamplerChoice, choose, summarise
 from datagen.detector.spad import Exposure, Spad
@@ -99,7 +99,7 @@ def detect_and_choice(
     for first, flux in measured.fluxes():
         rows = slice(first * pixels, (first + len(flux)) * pixels)
         chosen = _choose_block(measured, first, flux, tolerance, approximate)
-        drawn = merged(_draw_block(measured, first, flux, chosen, rng), spad)
+        drawn = with_bins_merged(_draw_block(measured, first, flux, chosen, rng), spad)
         if kind != np.int64 and drawn.max() > limit:
             row, bin_ = (int(i) for i in np.unravel_index(int(drawn.argmax()), drawn.shape))
             raise InputError(
@@ -160,10 +160,10 @@ def expected_histogram(
     out = np.empty(measured.transient.shape)
     for first, flux in measured.fluxes():
         cycle, tdc = measured.finer
-        detections = np.stack([mean_detections(values, cycle, spad) for values in measured.in_finer(flux)])
+        detections = np.stack([mean_detections(values, cycle, spad) for values in measured.flux_in_finer(flux)])
         mean = tdc.mean(exposure.cycles * detections)
         out[first : first + len(mean)] = _saturate_mean(mean, flux, measured, approximate)
-    return merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
+    return with_bins_merged(out, spad).reshape(*np.shape(transient)[:-1], -1)
 
 
 def choose_sampler(
@@ -186,7 +186,7 @@ def _choose_block(
     point, all of them are drawn alike."""
     _, pixels, n = flux.shape
     spad, others = measured.spad, (measured.exposure, tolerance, approximate)
-    if measured.coupled:
+    if measured.is_coupled:
         of_array = flux.sum(axis=1)
         chosen = choose(of_array, measured.cycle, spad, *others, lambda row: f"laser {first_laser + row}")
         return Choices(*(np.repeat(getattr(chosen, f.name), pixels) for f in fields(chosen)))
@@ -208,8 +208,8 @@ def _draw_block(measured: Measurement, first_laser: int, flux: Floats, choices: 
         out[rows] = draw_poisson(mean, rng, lambda row: measured.where(numbers[row]))
     if len(rows := np.flatnonzero(~poisson)):
         cycle, tdc = measured.finer
-        step = pixels if measured.coupled else 1
-        groups = measured.in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
+        step = pixels if measured.is_coupled else 1
+        groups = measured.flux_in_finer(values[rows]).reshape(-1, step, len(cycle.gate))
         each = zip(groups, choices.sampler[rows[::step]], strict=True)
         drawn = [_draw(own, cycle, spad, cycles, Sampler(code), rng) for own, code in each]
         out[rows] = tdc.draw(np.concatenate(drawn), rng, rows % pixels)

@@ -73,7 +73,7 @@ def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, rng: Genera
     pixels, n = flux.shape
     has_traps = spad.afterpulse_probability > 0
     if spad.mode == "free_running" and not (has_traps or spad.paralyzable or pixels > 1):
-        start = _first_armed(equilibrium(flux[0], cycle.edges_s, cycle.width_s, spad.dead_time_s), rng)
+        start = _first_moment_armed(equilibrium(flux[0], cycle.edges_s, cycle.width_s, spad.dead_time_s), rng)
     else:
         start = -burn_in_cycles(spad, cycle.period_s), 0.0
     # The last bin of all may be shorter than the others.
@@ -86,7 +86,7 @@ def draw_events(flux: Floats, cycle: Cycle, spad: Spad, cycles: int, rng: Genera
     return np.asarray(_run(flux, period, diode, *start, cycles, rng))
 
 
-def _first_armed(state: Equilibrium, rng: Generator) -> tuple[int, float]:
+def _first_moment_armed(state: Equilibrium, rng: Generator) -> tuple[int, float]:
     """(cycle, phase) at which a detector in equilibrium is armed for the first time from (0, 0) on."""
     edges = state.pieces.edges
     period, dead_time = float(edges[-1]), state.pieces.dead_time
@@ -138,7 +138,7 @@ def _run(
                     continue
                 if is_armed and now >= 0:
                     counts[p, j] += 1
-                new_cycle, new_phase = _armed_again(
+                new_cycle, new_phase = _moment_armed_again(
                     now, phase + diode.dead_time, float(period.edges[n]), diode.synchronous
                 )
                 # Traps go on releasing carriers while the diode is dead; these are lost.
@@ -260,7 +260,7 @@ def _next_photon(
 
 
 @compiled()
-def _armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
+def _moment_armed_again(cycle: int, phase: float, period: float, synchronous: bool) -> tuple[int, float]:
     """(cycle, phase) at which a diode is armed again whose dead time ends at `phase`, perhaps beyond the period, of
     `cycle`: a synchronous one at the start of the next cycle at the latest."""
     if phase >= period:

@@ -72,7 +72,7 @@ class Measurement:
         unequal = TdcBins.of(self.cycle, pieces, self.spad, self.transient.shape[1], self.first_pixel)
         return self.cycle.cut(pieces), Tdc(self.cycle, unequal)
 
-    def in_finer(self, flux: Floats) -> Floats:
+    def flux_in_finer(self, flux: Floats) -> Floats:
         """(…, m) flux in the bins of `finer`, from flux (…, n)."""
         pieces = pieces_for(self.cycle, self.spad)
         if pieces == 1:
@@ -81,7 +81,7 @@ class Measurement:
         return np.repeat(flux / parts, parts, axis=-1)
 
     @property
-    def coupled(self) -> bool:
+    def is_coupled(self) -> bool:
         """Whether crosstalk makes the pixels of a laser point one system."""
         return _has_crosstalk(self.spad) and self.transient.shape[1] > 1
 
@@ -99,7 +99,7 @@ class Measurement:
             yield start, flux_per_cycle(block, self.cycle, self.spad, self.exposure, self.first_pixel)
 
 
-def merged(values: NDArray[N], spad: Spad) -> NDArray[N]:
+def with_bins_merged(values: NDArray[N], spad: Spad) -> NDArray[N]:
     """Values (…, bins) with each run of `Spad.bins_merged` bins added up to one."""
     if spad.bins_merged == 1:
         return values

@@ -18,7 +18,7 @@ import numpy as np
 
 from datagen.detector.expected import detections_and_events
 from datagen.detector.flux import Cycle, arrivals, cycle_of
-from datagen.detector.measurement import Measurement, merged
+from datagen.detector.measurement import Measurement, with_bins_merged
 from datagen.detector.sampler_choice import poisson_bias
 from datagen.detector.spad import Exposure, Spad
 from datagen.errors import InputError
@@ -72,11 +72,11 @@ def own_light(
         if spad.counter_max is not None:
             own = [(everything < spad.counter_max) * one for one in own]
             everything = np.minimum(everything, spad.counter_max)
-        seen, *lights_seen = (merged(one, spad) for one in (everything, *own))
+        seen, *lights_seen = (with_bins_merged(one, spad) for one in (everything, *own))
         yield OwnLight(first, seen, tuple(lights_seen), np.broadcast_to(armed, flux.shape))
 
 
-def squared_over(own: Floats, everything: Floats) -> Floats:
+def squares_over(own: Floats, everything: Floats) -> Floats:
     """s²/b of each bin, whose sum is the square of a light's significance; 0 where no detection is expected."""
     return own * np.divide(own, everything, out=np.zeros_like(own), where=everything > 0)
 

@@ -213,14 +213,14 @@ class Tdc:
         if self._unequal is None:
             return self._mean_in_equal_bins(detections)
         records = [self._mean_in_equal_bins(part) for part in self._by_piece(detections)]
-        return self._unequal.mean(self._joined(records), pixels)
+        return self._unequal.mean(self._records_in_order(records), pixels)
 
     def draw(self, detections: Ints, rng: Generator, pixels: Ints | None = None) -> Ints:
         """(h, bins) records of detections (h, n), multinomial; `pixels` (h,) as of `mean`."""
         if self._unequal is None:
             return self._draw_in_equal_bins(detections, rng)
         records = [self._draw_in_equal_bins(part, rng) for part in self._by_piece(detections)]
-        return self._unequal.draw(self._joined(records), rng, pixels)
+        return self._unequal.draw(self._records_in_order(records), rng, pixels)
 
     def _by_piece(self, detections: NDArray[N]) -> list[NDArray[N]]:
         """For each piece of a bin its (…, n) detections in all bins; whole bins count as the middle one."""
@@ -234,7 +234,7 @@ class Tdc:
             out.append(chosen)
         return out
 
-    def _joined(self, records: list[NDArray[N]]) -> NDArray[N]:
+    def _records_in_order(self, records: list[NDArray[N]]) -> NDArray[N]:
         """(…, m) records in the pieces of all bins, in order of time, from those of each piece (…, bins).
 
         A record is displaced by whole bins and stays in its piece.

@@ -22,7 +22,7 @@ from datagen.errors import InputError
 from datagen.records import Capture, Lambertian, Material, MeasuredByAngle, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.brdf import MaterialTable, albedo
-from datagen.transport.flood import at_sensor, one_bounce_by_angle, one_bounce_of_beam, two_bounces_of_beam
+from datagen.transport.flood import light_at_sensor, one_bounce_by_angle, one_bounce_of_beam, two_bounces_of_beam
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import brdf
 
@@ -72,7 +72,7 @@ class Pieces:
         if self.bounces:
             twice = two_bounces_of_beam(scene, capture, caster, materials, TWO_BOUNCE_RAYS * rays)
             pieces.append(twice.reshape(-1, *twice.shape[-2:]) / UNIT**2)
-        return np.stack([at_sensor(piece[None], capture)[0] for piece in np.concatenate(pieces)])
+        return np.stack([light_at_sensor(piece[None], capture)[0] for piece in np.concatenate(pieces)])
 
     def differences(self) -> Floats:
         """(rows, pieces) rows that give the differences of reflectances of neighbouring angles of each part."""

@@ -55,7 +55,7 @@ class EffectDecisions:
 
     def apply_transport(self, scene: Scene, capture: Capture, accuracy: Accuracy) -> tuple[Scene, Accuracy]:
         """The scene and the accuracy to simulate, without the effects that are left out."""
-        reduced = _applied(TRANSPORT_EFFECTS, self.decisions, Transport(scene, capture, accuracy))
+        reduced = _with_decisions(TRANSPORT_EFFECTS, self.decisions, Transport(scene, capture, accuracy))
         return reduced.scene, reduced.accuracy
 
     def apply_detector(
@@ -63,7 +63,7 @@ class EffectDecisions:
     ) -> tuple[Spad, Exposure, float]:
         """The detector, the exposure and the tolerance for `detect`, which is 0 if an effect of the dead time or of
         avalanches is switched on."""
-        reduced = _applied(DETECTOR_EFFECTS, self.decisions, Detector(spad, exposure, tolerance))
+        reduced = _with_decisions(DETECTOR_EFFECTS, self.decisions, Detector(spad, exposure, tolerance))
         return reduced.spad, reduced.exposure, reduced.tolerance
 
     def parameters(self) -> dict[str, Scalar]:
@@ -82,7 +82,7 @@ def decide_transport_effects(
     caster: Raycaster | None = None,
 ) -> EffectDecisions:  # fmt: skip
     """The decisions on the transport's effects; parameters as of `plan_effects`, and the scene's caster, if any."""
-    return _decided(TRANSPORT_EFFECTS, Transport(scene, capture, accuracy, seed, caster), settings)
+    return _decisions(TRANSPORT_EFFECTS, Transport(scene, capture, accuracy, seed, caster), settings)
 
 
 def decide_detector_effects(
@@ -90,7 +90,7 @@ def decide_detector_effects(
     settings: EffectsConfig | None = None, tolerance: float = DEFAULT_TOLERANCE,
 ) -> EffectDecisions:  # fmt: skip
     """The decisions on the detector's effects; parameters as of `plan_effects`, transient (laser, pixel, bin)."""
-    return _decided(DETECTOR_EFFECTS, Detection(spad, exposure, tolerance, transient, time), settings)
+    return _decisions(DETECTOR_EFFECTS, Detection(spad, exposure, tolerance, transient, time), settings)
 
 
 def plan_effects(
@@ -145,13 +145,13 @@ def plan_effects(
     return decided + decide_detector_effects(*seen, settings, tolerance)
 
 
-def _decided(rows: Sequence[Effect[Any, Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:
+def _decisions(rows: Sequence[Effect[Any, Any]], given: Any, settings: EffectsConfig | None) -> EffectDecisions:
     """The decisions on the effects of one stage."""
     settings = settings or EffectsConfig()
     return EffectDecisions(decide(rows, given, settings.of, settings.tolerance), settings.tolerance)
 
 
-def _applied(rows: Sequence[Effect[Any, Reduced]], decisions: Sequence[Decision], given: Reduced) -> Reduced:
+def _with_decisions(rows: Sequence[Effect[Any, Reduced]], decisions: Sequence[Decision], given: Reduced) -> Reduced:
     """The scene or detector with the decisions applied, last row first, as pile-up is left out according to the mode
     that dead time across cycles leaves."""
     by_effect = {decision.effect: decision for decision in decisions}

@@ -95,10 +95,10 @@ class Detection(Detector):
     @property
     def dead_periods(self) -> float:
         """The most laser periods of light whose events, caused ones included, a dead time can meet."""
-        return (1.0 if self.spad.mode == "synchronous" else self.whole_periods + 1.0) * (1.0 + self.caused)
+        return (1.0 if self.spad.mode == "synchronous" else self.whole_periods + 1.0) * (1.0 + self.caused_avalanches)
 
     @property
-    def caused(self) -> float:
+    def caused_avalanches(self) -> float:
         """The most avalanches that one avalanche causes by afterpulsing and crosstalk, in turn included."""
         by_traps, by_neighbours = avalanches_caused(self.spad)
         return 0.0 if self.counts_all else by_traps + (by_neighbours if self.transient.shape[1] > 1 else 0.0)
@@ -132,7 +132,7 @@ def _timing(given: Detection) -> Change:
     # Events before and after the recorded bins may be moved into them.
     beside = 2 * (len(pulse.weights) + len(jitter.weights))
     ratio = math.sqrt(1.0 + beside / time.bins) * math.exp(most)
-    value = moved / (1.0 - moved) * (1.0 + given.caused) * ratio + shifted * math.exp(2.0 * most)
+    value = moved / (1.0 - moved) * (1.0 + given.caused_avalanches) * ratio + shifted * math.exp(2.0 * most)
     if unequal is not None:
         # A TDC bin of width w counts records of at most w + 2 bins, and records of a bin get into at most k TDC bins.
         # So the sorting enlarges the change at most by √(w + 2), and reduces the norm of counts x ≥ 0 at most by √k.
@@ -156,7 +156,7 @@ def _unequal_bins(given: Detection) -> Change:
     moved = math.sqrt(float((column * row).max()))
     reason = f"it moves up to {1 - kept.min():.2g} of a bin's records into other bins"
     cut = pieces_for(cycle_of(given.time, spad, given.exposure), spad) > 1
-    if spad.counter_max is not None or (cut and given.caused > 0):
+    if spad.counter_max is not None or (cut and given.caused_avalanches > 0):
         return Change(None, "bound", reason)
     if cut:
         moved *= math.exp(min(given.dead_periods * given.most_events_per_cycle, _LARGEST_EXPONENT))
@@ -171,7 +171,7 @@ def _without_pile_up(given: Detector) -> Detector:
     return given.with_spad(dead_time_s=0.0, paralyzable=False)
 
 
-def _exactly(given: Detector, setting: str) -> Detector:
+def _with_exact_samplers(given: Detector, setting: str) -> Detector:
     """The detector with exact samplers only."""
     return replace(given, tolerance=0.0)
 
@@ -184,20 +184,20 @@ DETECTOR_EFFECTS: tuple[Effect[Detection, Detector], ...] = (
         lambda d: d.with_spad(jitter_fwhm_s=0.0, jitter_tail_s=0.0).with_exposure(pulse_fwhm_s=0.0, pulse=None),
         _timing, 0.4,
     ),
-    Effect("pile_up", "pile-up", lambda d: d.has_dead_time, _without_pile_up, always=_exactly),
+    Effect("pile_up", "pile-up", lambda d: d.has_dead_time, _without_pile_up, always=_with_exact_samplers),
     Effect(
         "dead_time_across_cycles", "dead time across cycles",
         lambda d: d.has_dead_time and d.spad.mode == "free_running", lambda d: d.with_spad(mode="synchronous"),
-        always=_exactly,
+        always=_with_exact_samplers,
     ),
     Effect(
         "afterpulsing", "afterpulsing", lambda d: d.spad.afterpulse_probability > 0 and not d.counts_all,
-        lambda d: d.with_spad(afterpulse_probability=0.0), always=_exactly,
+        lambda d: d.with_spad(afterpulse_probability=0.0), always=_with_exact_samplers,
     ),
     Effect(
         "crosstalk", "crosstalk",
         lambda d: d.spad.crosstalk_probability > 0 and d.transient.shape[1] > 1 and not d.counts_all,
-        lambda d: d.with_spad(crosstalk_probability=0.0), always=_exactly,
+        lambda d: d.with_spad(crosstalk_probability=0.0), always=_with_exact_samplers,
     ),
     Effect(
         "gate", "gate", lambda d: d.spad.gate_start_s is not None,

@@ -90,14 +90,14 @@ def decide(
     left_out = 0.0
     for row in sorted(rows, key=lambda r: -r.saves):
         allowance = max((1.0 + tolerance) / (1.0 + left_out) - 1.0, 0.0)
-        decision = _decided(row, given, setting_of(row.name), allowance)
+        decision = _decision(row, given, setting_of(row.name), allowance)
         if decision.left_out and decision.estimate is not None:
             left_out = (1.0 + left_out) * (1.0 + decision.estimate) - 1.0
         decisions[row.name] = decision
     return tuple(decisions[row.name] for row in rows)
 
 
-def _decided(row: Effect[Given, Any], given: Given, setting: str, allowance: float) -> Decision:
+def _decision(row: Effect[Given, Any], given: Given, setting: str, allowance: float) -> Decision:
     """The decision on one effect, which may change the result by `allowance`."""
     if not row.present(given):
         return Decision(row.name, setting, False, 0.0, "absent", allowance, "there is none")

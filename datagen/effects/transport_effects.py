@@ -11,7 +11,7 @@ import numpy as np
 
 from datagen.effects.clearance import flat_patch, pyramids_clear
 from datagen.effects.rule import Change, Effect
-from datagen.effects.trial import Trial, affordable, run_trial
+from datagen.effects.trial import Trial, is_affordable, run_trial
 from datagen.records import Accuracy, Capture, Scene
 from datagen.transport.fields_of_view import PixelCones
 from datagen.transport.laser_points import LaserPoints
@@ -63,7 +63,7 @@ class Transport:
     @cached_property
     def trial(self) -> Trial | None:
         """The trial run; None if the transport is so small that a trial run would not pay."""
-        if not affordable(self.capture, self.accuracy):
+        if not is_affordable(self.capture, self.accuracy):
             return None
         return run_trial(self.scene, self.capture, self.accuracy, self.seed, self.caster, self.laser_points)
 
@@ -138,7 +138,7 @@ def _attenuation(given: Transport) -> Change:
     return Change(value, "bound", f"the longest path recorded, {longest_m:.3g} m, loses ≤ {value:.2g}")
 
 
-def _measured(given: Transport, component: str, what: str) -> Change:
+def _measured_change(given: Transport, component: str, what: str) -> Change:
     """The change if a component is left out: its share of the light of a trial run."""
     trial = given.trial
     if trial is None:
@@ -165,12 +165,12 @@ TRANSPORT_EFFECTS: tuple[Effect[Transport, Transport], ...] = (
     Effect(
         "secondary_bounce", "secondary bounce",
         lambda g: g.highest_order >= 4 and g.accuracy.secondary, _without_secondary,
-        lambda g: _measured(g, "secondary", "four bounces"), 0.7,
+        lambda g: _measured_change(g, "secondary", "four bounces"), 0.7,
     ),
     Effect(
         "higher_bounces", "higher bounces", lambda g: g.highest_order >= 5,
         lambda g: g.with_accuracy(max_bounces=4 if g.accuracy.secondary else 3),
-        lambda g: _measured(g, "higher", "five bounces and more"), 0.8,
+        lambda g: _measured_change(g, "higher", "five bounces and more"), 0.8,
     ),
     Effect(
         "attenuation", "atmospheric attenuation", lambda g: g.scene.attenuation_per_m > 0,

@@ -100,7 +100,7 @@ def _paths(capture: Capture, accuracy: Accuracy) -> float:
     return math.inf if accuracy.samples is None else 0.5 * accuracy.samples * pairs
 
 
-def affordable(capture: Capture, accuracy: Accuracy) -> bool:
+def is_affordable(capture: Capture, accuracy: Accuracy) -> bool:
     """Whether the smallest trial run costs at most `LARGEST_SHARE` of the transport; always true with a target."""
     return LARGEST_SHARE * _paths(capture, accuracy) >= FEWEST_PATHS
 
@@ -139,14 +139,14 @@ def trial_channels(capture: Capture, points: LaserPoints) -> tuple[Ints, Ints]:
     if not len(there):
         there = np.flatnonzero(has_light)
         place = np.asarray(capture.laser.targets)[there]
-    lit = there[_spread_out(place, min(LASERS, max(channels // count, 1)))]
+    lit = there[_farthest_apart(place, min(LASERS, max(channels // count, 1)))]
     if capture.pairing == "confocal":
         return lit, np.arange(count)
     seen = capture.sensor.pixels.mean(axis=1) - capture.sensor.position
-    return lit, _spread_out(seen / np.linalg.norm(seen, axis=1, keepdims=True), count)
+    return lit, _farthest_apart(seen / np.linalg.norm(seen, axis=1, keepdims=True), count)
 
 
-def _spread_out(place: Floats, count: int) -> Ints:
+def _farthest_apart(place: Floats, count: int) -> Ints:
     """Numbers, ascending, of `count` of the places (n, 3), or of all if they are fewer: first the place farthest from
     the middle of all, then always the place farthest from those chosen before."""
     chosen = list[int]()

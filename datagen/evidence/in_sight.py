@@ -20,7 +20,7 @@ import numpy as np
 from datagen.records import Accuracy, Capture, Lambertian, Scene
 from datagen.records.arrays import Bools, Floats
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.flood import at_sensor
+from datagen.transport.flood import light_at_sensor
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.lines_of_sight import lines_of_sight
 from datagen.transport.path_light import with_samples
@@ -62,7 +62,7 @@ def light_in_sight(
         # The row of the object itself is `parts[object]`, which the transient knows with a smaller error.
         own = sum((whole[row] - rest[row] for row in whole if row != name), start=np.zeros(capture.shape))
         np.maximum(own, 0.0, out=own)
-        light[name] = at_sensor(own, capture) if is_flood else own
+        light[name] = light_at_sensor(own, capture) if is_flood else own
     return light
 
 

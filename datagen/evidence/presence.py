@@ -108,10 +108,10 @@ def presence_against(
     whole: Transient, without: Iterable[tuple[str, Transient]], spad: Spad, exposure: Exposure
 ) -> dict[str, Presence]:
     """Part name → its presence, from the transient of a scene and (part name, transient without that part)."""
-    return {name: _compared(whole, other, spad, exposure) for name, other in without}
+    return {name: _presence_of(whole, other, spad, exposure) for name, other in without}
 
 
-def _compared(whole: Transient, without: Transient, spad: Spad, exposure: Exposure) -> Presence:
+def _presence_of(whole: Transient, without: Transient, spad: Spad, exposure: Exposure) -> Presence:
     """The presence of an object, from the transients of the scene with and without it."""
     # With a single replicate the standard error is NaN, and the floor unknown.
     error = np.hypot(whole.stderr, without.stderr)

@@ -79,8 +79,8 @@ class Work(NamedTuple):
 
     @classmethod
     def of(cls, bins: int, widest: float) -> Work:
-        """Room for histograms of some bins and clusters whose times change by `widest` steps at most, over both sides
-        together."""
+        """Arrays for histograms of some bins, and clusters whose times change by `widest` steps at most, over both
+        sides together."""
         return cls(*np.zeros((3, (bins << len(SPANS)) + 3 * (int(widest) + 4) + 8)), *np.empty((2, CORNERS[-1])))
 
 
@@ -256,7 +256,7 @@ def _add_narrow(work, one, two, scale, begin, end, stop, late, histogram, by):  
 
 @compiled(forceinline=True, allocates=False)
 def _add_wide(work, one, two, scale, begin, end, stop, late, histogram, by):  # type: ignore[no-untyped-def]
-    """The same for two boxes of any width."""
+    """Adds light that is spread over two boxes of any width to histogram (T,); returns the photons added."""
     own, once, unit = work.own, work.once, np.uint64(1)
     k1, k2 = np.uint64(2 * one.m + 2), np.uint64(2 * two.m + 2)
     inside = s1 = s2 = s3 = 0.0

@@ -75,7 +75,7 @@ PAIRS = 8
 LONGEST = 400
 """Bounces at which paths end that have no limit: a path survives so many once in 10⁹."""
 ADDED = 0.02
-"""Cost of adding light to a bin, in shadow rays."""
+"""Cost of adding light to a bin, in shadow rays: by costs the effort of groups and components is weighed."""
 PILOT = 64
 """Fewest blocks of a pilot, over all groups and replicates."""
 
@@ -280,7 +280,8 @@ class _Block:
         return self.vertices_along(x.position, normal, direction, found)
 
     def vertices_along(self, origin: Floats, normal: Floats, direction: Floats, found: Bools) -> Vertices:
-        """What rays that leave surfaces meet, those that were found."""
+        """Where rays that leave surfaces land. The part is −1 for rays that meet nothing, and for those that do not
+        exist by `found` (n,)."""
         hits = self.caster.leaving(origin, normal, direction)
         self.cost += len(direction)
         part = np.where(hits.valid & found, self.blocks.problem.scene.face_part[hits.face], -1).astype(np.int64)

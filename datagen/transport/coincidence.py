@@ -200,17 +200,18 @@ def shared_planes(scene: Scene) -> Iterator[Shared]:
     triangles = _Triangles.of(corners, normal)
     planes = np.column_stack([normal, np.einsum("nk,nk->n", normal, corners[:, 0])])
     for ones, twos in _in_one_plane(planes, part):
-        few, many = sorted((_beside(triangles, ones, twos), _beside(triangles, twos, ones)), key=len)
+        beside = (_triangles_beside(triangles, *of) for of in ((ones, twos), (twos, ones)))
+        few, many = sorted(beside, key=len)
         some = many[:: len(many) // MOST_LOOKED_AT + 1]
         calls = in_calls(len(some), 256 * len(few))
-        found = [_common(rows_of(triangles, some[call]), rows_of(triangles, few)) for call in calls]
+        found = [_common_places(rows_of(triangles, some[call]), rows_of(triangles, few)) for call in calls]
         places = np.concatenate([np.zeros((0, 3)), *found])
         if len(places):
             yield Shared(part[ones[0]], part[twos[0]], ones, twos, middle + extent * places, normal[ones[0]])
 
 
-def _beside(triangles: _Triangles, ones: Ints, twos: Ints) -> Ints:
-    """Those of `ones` that touch the box around all of `twos`."""
+def _triangles_beside(triangles: _Triangles, ones: Ints, twos: Ints) -> Ints:
+    """Numbers of those of the triangles `ones` that touch the box around all of the triangles `twos`."""
     of_twos = triangles.corners[twos].reshape(-1, 3)
     low, high = triangles.corners[ones].min(axis=1), triangles.corners[ones].max(axis=1)
     touches = (low <= of_twos.max(axis=0) + PLANE) & (high >= of_twos.min(axis=0) - PLANE)
@@ -248,7 +249,7 @@ class _Triangles(NamedTuple):
     @classmethod
     def of(cls, corners: Floats, normal: Floats) -> _Triangles:
         """Triangles from their corners and normals (n, 3)."""
-        inward = np.cross(normal[:, None], _next(corners) - corners)
+        inward = np.cross(normal[:, None], _following(corners) - corners)
         inward /= np.linalg.norm(inward, axis=2, keepdims=True)
         return cls(corners, inward, np.einsum("nsk,nsk->ns", corners, inward))
 
@@ -257,14 +258,14 @@ class _Triangles(NamedTuple):
         return np.asarray(np.einsum("npk,nsk->nps", points, self.inward) - self.offset[:, None])
 
 
-def _next(of_corners: Floats) -> Floats:
+def _following(of_corners: Floats) -> Floats:
     """(n, 3, …) what belongs to the corner that follows each of a triangle's corners."""
     return np.roll(of_corners, -1, axis=1)
 
 
-def _common(ones: _Triangles, twos: _Triangles) -> Floats:
-    """(n, 3) places within both of two triangles that overlap, of any two: the middle of the polygon that they share,
-    and the points halfway from there to its corners."""
+def _common_places(ones: _Triangles, twos: _Triangles) -> Floats:
+    """(n, 3) places that lie in one of the triangles `ones` and in one of `twos`. Of each two that overlap they are
+    the middle of the polygon that the two share, and the points halfway from there to its corners."""
     low, high = twos.corners.min(axis=1) - PLANE, twos.corners.max(axis=1) + PLANE
     near = (ones.corners.min(axis=1)[:, None] < high) & (ones.corners.max(axis=1)[:, None] > low)
     # Few pairs of bounding boxes touch.
@@ -272,10 +273,10 @@ def _common(ones: _Triangles, twos: _Triangles) -> Floats:
     ones, twos = rows_of(ones, i), rows_of(twos, j)
     of_ones, of_twos = twos.heights(ones.corners), ones.heights(twos.corners)
     # The polygon's corners are those of either triangle that lie in the other, and the crossings of their sides.
-    ahead = _next(of_ones)
-    crosses = ((of_ones > 0) != (ahead > 0)) & ((of_twos > 0) != (_next(of_twos) > 0)).swapaxes(1, 2)
+    ahead = _following(of_ones)
+    crosses = ((of_ones > 0) != (ahead > 0)) & ((of_twos > 0) != (_following(of_twos) > 0)).swapaxes(1, 2)
     share = np.divide(of_ones, of_ones - ahead, out=np.zeros_like(of_ones), where=crosses)[..., None]
-    crossings = (1 - share) * ones.corners[:, :, None] + share * _next(ones.corners)[:, :, None]
+    crossings = (1 - share) * ones.corners[:, :, None] + share * _following(ones.corners)[:, :, None]
     corners = np.concatenate([ones.corners, twos.corners, crossings.reshape(-1, 9, 3)], axis=1)
     inside = [(heights > -APART).all(axis=2) for heights in (of_ones, of_twos)]
     is_corner = np.concatenate([*inside, crosses.reshape(-1, 9)], axis=1)

@@ -40,7 +40,8 @@ COARSEST = 1.2
 """Largest size of an element relative to its distance, whatever its light; of larger ones a few in corners have most
 of the light (at 1.5 a room of boxes errs twice as much for the same time)."""
 COARSEST_CLUSTER = 0.7
-"""The same of a cluster of FoV points, and relative to the narrowest lobe on the way, too."""
+"""Largest size of a cluster of FoV points relative to its distance, times the half width of the narrowest lobe on the
+way, rad, at most 1."""
 BENT = 30.0
 """An element's light is taken for so many times more as its arrival times are bent, relative to their span."""
 EVEN = 0.05
@@ -67,7 +68,8 @@ class Waiting(IntEnum):
 
 
 class Verdict(IntEnum):
-    """What becomes of it: it is left out, cut in one of two ways, or an element, which gives a sample."""
+    """What becomes of a box or piece and its cluster: they are left out, cut in one of two ways, or an element, which
+    gives a sample."""
 
     NOTHING = 0
     QUARTERS_OF_CLUSTER = 1

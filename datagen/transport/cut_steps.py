@@ -106,7 +106,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def of(cls, n: int) -> Batch:
-        """Room for n samples."""
+        """Arrays for n samples, not yet set."""
         return cls(
             np.empty((n, 3, 3), np.float32), np.empty(n, np.int64), np.empty(n), np.empty(n, np.int64),
             np.empty((n, CORNERS[-1])), np.empty((n, CORNERS[-1])), np.empty((n, 4)), np.empty(n, np.int64),

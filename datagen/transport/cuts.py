@@ -66,10 +66,10 @@ SHAPES = 0.15
 """What shapes of light in time may err by, alike in both replicates, relative to the error asked: 0.1 in the median
 of rooms, measured with elements of a hundredth of the light."""
 SCATTER = 0.55
-"""Squared error, over that by which two replicates differ, of what averages out over runs, measured on foreign
-rooms."""
+"""Squared error, over that by which two replicates differ, of what averages out over runs, measured on the foreign
+scenes of `tests/benchmarks/acceptance.py`. An error that is claimed is in proportion to its root."""
 SHARED = 0.4
-"""The same of what all runs have in common, pieces that none of them cuts, measured on foreign rooms."""
+"""The same of what all runs have in common, pieces that none of them cuts, measured on the same scenes."""
 DEGREES = 6.0
 """Independent histograms, counted by their light, over all runs, from which a claim is the root mean square that
 replicates tell; of fewer it is raised, as one in twenty would be exceeded by more."""
@@ -213,7 +213,8 @@ class Cuts:
         return math.hypot(math.sqrt(more) * l2_norm(light), self.beside.whole)
 
     def norms(self, light: Floats, more: float) -> Floats:
-        """(K,) the same of each part, of light (K, n, T)."""
+        """(K,) L2 norms of the light of the parts, of which the primary in 1/`more` of the histograms is `light`
+        (K, n, T)."""
         return np.asarray(np.hypot(math.sqrt(more) * np.array([l2_norm(of) for of in light]), self.beside.parts))
 
     def seed(self, *numbers: int) -> int:
@@ -342,8 +343,8 @@ def outer_sides(scene: Scene) -> Floats:
 
 
 class _Found:
-    """Runs of all pairs. The error of a run of group g is taken for a_g δ^FALLS: runs count with δ^(−2 FALLS), and
-    the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
+    """The runs of all pairs so far. The error of a run of group g is taken for a_g δ^FALLS: runs count with
+    δ^(−2 FALLS), and the sum of these weights is the precision W_g, with which the squared error is a_g²/W_g.
 
     light : (K, H, T), outside : (K, H), weighted means of those of `Run`. total : (H, T) light of all parts. square :
     (G, H) weighted sums of squares, and alike : (G, H) of their roots. precision : (G,). spread : (G,) sum of squared
@@ -591,14 +592,17 @@ def _errors_asked(cuts: Cuts, norms: Floats, whole: float, target: float) -> Flo
 
 
 def _without_noise(light: Floats, squares: Floats) -> float:
-    """The L2 norm of light (n, T) whose noise has the L2 norms whose squares are (n,); its square is at least a tenth
-    of what it is with noise."""
+    """An estimate of the L2 norm that light (n, T) would have without its noise.
+
+    squares : (n,) squared L2 norms of the noise of each histogram, about, which are taken off the square of that of
+    the light; at least a tenth of it stays.
+    """
     norm = l2_norm(light) ** 2
     return math.sqrt(max(norm - float(squares.sum()), 0.1 * norm))
 
 
 def _finer(precision: Floats) -> Floats:
-    """(G,) δ of a run with some precision."""
+    """(G,) the δ with which one run has some precision (G,), by `FALLS`."""
     return np.asarray(np.maximum(precision, LEAST_LIGHT) ** (-0.5 / FALLS))
 
 

@@ -56,7 +56,7 @@ def doubts(scene: Scene, capture: Capture, caster: Raycaster, direct: bool) -> I
         name = _wall_about(scene, caster, position, towards)
         if name:
             yield (
-                f"{key} = {_place(position)} lies inside of the part {name!r}, which shuts its light in; move it off "
+                f"{key} = {_text(position)} lies inside of the part {name!r}, which shuts its light in; move it off "
                 "that part, towards what it looks at"
             )
             return
@@ -109,7 +109,7 @@ def common_leg(scene: Scene, caster: Raycaster, points: LaserPoints, time: TimeA
     lit = np.flatnonzero(points.part >= 0)
     lit = lit[:: -(-len(lit) // LOOKED_FROM)] if len(lit) else lit
     at, normal = np.repeat(points.position[lit], LEGS, axis=0), np.repeat(points.normal[lit], LEGS, axis=0)
-    hits = caster.leaving(at, normal, _around(normal))
+    hits = caster.leaving(at, normal, _directions_around(normal))
     leg = np.linalg.norm(hits.position - at, axis=1)
     window_m = float(path_from_time(max(time.stop_s, 0.0)))
     out = np.repeat(points.leg[lit], LEGS) if time.origin == "source" else 0.0
@@ -121,7 +121,7 @@ def common_leg(scene: Scene, caster: Raycaster, points: LaserPoints, time: TimeA
     return min((float(np.linalg.norm(middle - points.position[lit[0]])) for middle in middles), default=0.0)
 
 
-def _around(normal: Floats) -> Floats:
+def _directions_around(normal: Floats) -> Floats:
     """(n, 3) directions about unit normals (n, 3), the same `LEGS` of a spiral for each run of so many, with the
     density cosθ/π."""
     k = np.arange(len(normal)) % LEGS
@@ -164,7 +164,7 @@ def _wall_about(scene: Scene, caster: Raycaster, position: Floats, towards: Floa
         return ""
     around = int(parts[0])
     shell = scene.corners[scene.face_part == around]
-    if not _inside(shell, position[None], np.concatenate([ODD_WAYS, -ODD_WAYS])).all():
+    if not _is_inside(shell, position[None], np.concatenate([ODD_WAYS, -ODD_WAYS])).all():
         return ""
     for part in range(len(scene.part_names)):
         middles = scene.corners[scene.face_part == part].mean(axis=1)
@@ -172,12 +172,12 @@ def _wall_about(scene: Scene, caster: Raycaster, position: Floats, towards: Floa
             continue
         middles = middles[:: -(-len(middles) // ASKED)]
         asked = middles + INSET * (middles.mean(axis=0) - middles)
-        if _inside(shell, asked, ODD_WAYS[:1]).mean() > 0.5:
+        if _is_inside(shell, asked, ODD_WAYS[:1]).mean() > 0.5:
             return ""
     return scene.part_names[around]
 
 
-def _inside(shell: Floats, places: Floats, ways: Floats) -> Bools:
+def _is_inside(shell: Floats, places: Floats, ways: Floats) -> Bools:
     """(n, w) whether rays from places (n, 3) along ways (w, 3) cross triangles (F, 3, 3) an odd number of times: all
     of them do inside of a closed surface.
 
@@ -198,5 +198,5 @@ def _inside(shell: Floats, places: Floats, ways: Floats) -> Bools:
     return odd
 
 
-def _place(point: Floats) -> str:
+def _text(point: Floats) -> str:
     return "(" + ", ".join(f"{x:.3g}" for x in point) + ")"

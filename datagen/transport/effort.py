@@ -94,7 +94,7 @@ class Sampled(NamedTuple):
         """(L, P) photons of all components outside the window."""
         return sum((of.reshape(shape[:2]) for of in self.outside.values()), start=np.zeros(shape[:2]))
 
-    def replaced_by(self, other: Sampled) -> Sampled:
+    def with_components_of(self, other: Sampled) -> Sampled:
         """The same with the components that `other` has, whose costs are added."""
         cost = {name: self.cost.get(name, 0.0) + other.cost.get(name, 0.0) for name in self.cost | other.cost}
         return Sampled(
@@ -174,7 +174,7 @@ def _effort(units: list[_Unit], target: float, known: Floats, known_error: float
     least = 1e-3 * sum(error2) / len(units)
     price, of_error, of_light = dict[str, float](), dict[str, float](), dict[str, float]()
     for unit in units:
-        price[unit.name] = price.get(unit.name, 0.0) + math.sqrt(max(unit.error2, least) * unit.spent)
+        price[unit.name] = price.get(unit.name, 0.0) + math.sqrt(max(unit.error2, least) * unit.counted_cost)
         of_error[unit.name] = of_error.get(unit.name, 0.0) + unit.error2
         of_light[unit.name] = of_light.get(unit.name, 0.0) + l2_norm(unit.mean) ** 2
     own = {name: max(OWN**2 * square, (SHARE * asked) ** 2) for name, square in of_light.items()}
@@ -182,7 +182,8 @@ def _effort(units: list[_Unit], target: float, known: Floats, known_error: float
         return [0] * len(units)
     more = []
     for unit in units:
-        worth = unit.counted * math.sqrt(max(unit.error2, least) / unit.spent) if unit.spent > 0 else 0.0
+        cost = unit.counted_cost
+        worth = unit.counted * math.sqrt(max(unit.error2, least) / cost) if cost > 0 else 0.0
         per_error2 = max(sum(price.values()) / (AIM * left**2), price[unit.name] / (AIM * own[unit.name]))
         more.append(int(min(max(math.ceil(worth * per_error2) - unit.counted, 0), GROWTH * unit.source.first)))
     return more
@@ -203,7 +204,7 @@ class _Unit:
         self.blocks, self.counted, self.cost, self.error2, self.is_rough = 0, 0, 0.0, 0.0, False
 
     @property
-    def spent(self) -> float:
+    def counted_cost(self) -> float:
         """Cost of the blocks that count."""
         return self.cost * self.counted / max(self.blocks, 1)
 
@@ -224,7 +225,7 @@ class _Unit:
         self.blocks, self.counted = self.blocks + blocks, self.counted + blocks
         scale = self.source.unit / self.counted
         each = self.light[..., 1:-1]
-        mean, error2, variance, apart = estimated(each, self.source.can_blur)
+        mean, error2, variance, apart = estimate_of(each, self.source.can_blur)
         energy = each.sum(axis=(1, 2), dtype=np.float64)
         self.is_rough = energy.std(ddof=1) >= ROUGH * math.sqrt(REPLICATES) * energy.mean()
         # Counted twice: with one degree of freedom an error exceeds 1.5 of its root mean squares in 13 % of cases,
@@ -237,7 +238,7 @@ class _Unit:
         self.outside = scale * self.light[..., (0, -1)].sum(axis=2, dtype=np.float64).mean(axis=0)
 
 
-def estimated(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Floats, Floats]:
+def estimate_of(each: Floats32, can_blur: bool = True) -> tuple[Floats, float, Floats, Floats]:
     """Mean (H, T) of replicates (R, H, T), the estimated square of its L2 error, variances of the plain mean, and
     half of the difference between the means of even and odd replicates.
 

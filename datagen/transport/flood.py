@@ -49,18 +49,18 @@ class Beam(NamedTuple):
     outside: Floats
 
 
-def at_flooded_sensor(problem: Problem, found: Estimate, beam: Beam | None) -> Estimate:
-    """The light of a flood as its pixels record it (`at_sensor`), with that of one bounce of its `beam`, which
+def light_at_flooded_sensor(problem: Problem, found: Estimate, beam: Beam | None) -> Estimate:
+    """The light of a flood as its pixels record it (`light_at_sensor`), with that of one bounce of its `beam`, which
     `found` lacks, and that of the cover glass."""
     capture = problem.capture
-    components = {name: at_sensor(light, capture) for name, light in found.components.items()}
-    parts = {name: at_sensor(light, capture) for name, light in found.parts.items()}
+    components = {name: light_at_sensor(light, capture) for name, light in found.components.items()}
+    parts = {name: light_at_sensor(light, capture) for name, light in found.parts.items()}
     overflow = found.overflow
     if beam is not None:
-        components["direct"] += at_sensor(beam.light.sum(axis=0)[None], capture) + glass_light(capture)
+        components["direct"] += light_at_sensor(beam.light.sum(axis=0)[None], capture) + glass_light(capture)
         overflow = overflow + beam.outside
         for name, own in zip(problem.scene.part_names if problem.split_parts else (), beam.light, strict=False):
-            parts[name] = parts.get(name, 0.0) + at_sensor(own[None], capture)
+            parts[name] = parts.get(name, 0.0) + light_at_sensor(own[None], capture)
     return replace(found, components=components, parts=parts, overflow=overflow)
 
 
@@ -72,15 +72,15 @@ def as_scan(capture: Capture) -> Capture:
 
 def sum_of_flood(light: Floats, capture: Capture) -> Floats:
     """Light (1, P, T) of a whole flood, from the light (L, P, T) that each laser point would give with all of it."""
-    return at_sensor(np.einsum("l,lpt->pt", capture.laser.shares, light)[None], capture)
+    return light_at_sensor(np.einsum("l,lpt->pt", capture.laser.shares, light)[None], capture)
 
 
-def at_sensor(light: Floats, capture: Capture) -> Floats:
+def light_at_sensor(light: Floats, capture: Capture) -> Floats:
     """Light (1, P, T) as the pixels record it: with the crosstalk of all others, and late by each pixel's delay."""
     share = capture.sensor.crosstalk
     if share > 0:
         light = light + share * (light.sum(axis=1, keepdims=True) - light)
-    return delayed(light, capture.sensor, capture.time)
+    return with_delays(light, capture.sensor, capture.time)
 
 
 def glass_light(capture: Capture) -> Floats:
@@ -90,10 +90,10 @@ def glass_light(capture: Capture) -> Floats:
     at = math.floor(-axis.start_s / axis.width_s)
     if sensor.glass is not None and 0 <= at < axis.bins:
         glass[0, :, at] = sensor.glass
-    return delayed(glass, sensor, axis)
+    return with_delays(glass, sensor, axis)
 
 
-def delayed(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
+def with_delays(light: Floats, sensor: Sensor, axis: TimeAxis) -> Floats:
     """Light (1, P, T) moved by each pixel's delay (`Sensor.delays_s`).
 
     A delay between two whole bins shares the light between both, which keeps its mean time. Light that leaves the
@@ -169,7 +169,7 @@ def one_bounce_by_angle(
         as linear interpolation does. So a BRDF of r(cosine) times that of `materials`, with r linear between nodes,
         gives Σ r(node) light(node).
     """
-    vertices, _ = _met_by_beam(scene, capture, caster, rays)
+    vertices, _ = _hits_of_beam(scene, capture, caster, rays)
     kept, pixel, photons, place = _deposits(scene, capture, caster, materials, vertices)
     to_sensor = capture.sensor.position - vertices.x
     cosine = dots(vertices.normal, vertices.back)
@@ -196,7 +196,7 @@ def two_bounces_of_beam(
 
         L = Σ_rays share · exp(−κ (R_l + R + R_s)) π f₁ f₂ cosθ_s V A / R_s² · s.
     """
-    first, uv = _met_by_beam(scene, capture, caster, rays)
+    first, uv = _hits_of_beam(scene, capture, caster, rays)
     out = cosine_directions(first.normal, uv)
     hits = caster.closest(first.x + caster.offset_m * first.normal, out)
     met = hits.valid
@@ -217,7 +217,7 @@ def two_bounces_of_beam(
     return np.asarray(light.reshape(parts, parts, pixels, axis.bins), np.float64)
 
 
-def _met_by_beam(scene: Scene, capture: Capture, caster: Raycaster, rays: int) -> tuple[_Vertices, Floats]:
+def _hits_of_beam(scene: Scene, capture: Capture, caster: Raycaster, rays: int) -> tuple[_Vertices, Floats]:
     """Where the rays of a beam meet the scene, and two numbers (n, 2) of each for the direction in which it goes
     on."""
     laser, source = capture.laser, capture.time.origin == "source"

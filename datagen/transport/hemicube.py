@@ -17,7 +17,7 @@ from datagen.compiled import compiled
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import dot
 from datagen.transport.geometry import cross, get, put, subtract
-from datagen.transport.movers import moved
+from datagen.transport.movers import place_after
 from datagen.transport.sampling import mix
 
 PLACES = 4
@@ -108,7 +108,7 @@ def on_face(face, p):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, allocates=False)
 def off_face(face, q):  # type: ignore[no-untyped-def]
-    """Along tangents and normal what is `q` on a face: the inverse of `on_face`."""
+    """The vector, along tangents and normal, whose coordinates on a face are `q`: the inverse of `on_face`."""
     if face == 0:
         return q
     if face == 1:
@@ -128,7 +128,7 @@ def along(axes, p):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, allocates=False)
 def in_space(axes, q):  # type: ignore[no-untyped-def]
-    """The vector that is q along the axes (3, 3)."""
+    """The vector in space whose coordinates along the axes (3, 3) are `q`."""
     u, v, n = get(axes, 0, 0), get(axes, 1, 0), get(axes, 2, 0)
     return (
         q[0] * u[0] + q[1] * v[0] + q[2] * n[0], q[0] * u[1] + q[1] * v[1] + q[2] * n[1],
@@ -283,7 +283,7 @@ def _draw_all(view, of_view, pose, drawn, side, local, shown, bits, near, touche
     for m in range(len(of_view)):
         origin, axes, farthest = get(view.origin, of_view[m], 0), view.axes[of_view[m]], 0.0
         for k in range(len(local)):
-            q = along(axes, subtract(moved(pose[m, drawn.mover[k]], get(drawn.vertices, k, 0)), origin))
+            q = along(axes, subtract(place_after(pose[m, drawn.mover[k]], get(drawn.vertices, k, 0)), origin))
             put(local, k, 0, q)
             farthest = max(farthest, dot(q, q))
         for t in range(len(shown)):

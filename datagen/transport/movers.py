@@ -86,21 +86,21 @@ def movers_last(scene: Scene, static: Scene) -> Scene:
 
 
 @compiled(forceinline=True, allocates=False)
-def moved(pose, p):  # type: ignore[no-untyped-def]
+def place_after(pose, p):  # type: ignore[no-untyped-def]
     """The point p after the move of a pose (5,)."""
     return (pose[0] * p[0] - pose[1] * p[1] + pose[2], pose[1] * p[0] + pose[0] * p[1] + pose[3], p[2] + pose[4])
 
 
 @compiled(forceinline=True, allocates=False)
-def turned_back(pose, v):  # type: ignore[no-untyped-def]
+def direction_before(pose, v):  # type: ignore[no-untyped-def]
     """The direction v before the turn of a pose."""
     return (pose[0] * v[0] + pose[1] * v[1], pose[0] * v[1] - pose[1] * v[0], v[2])
 
 
 @compiled(forceinline=True, allocates=False)
-def moved_back(pose, p):  # type: ignore[no-untyped-def]
+def place_before(pose, p):  # type: ignore[no-untyped-def]
     """The point p before the move of a pose."""
-    return turned_back(pose, (p[0] - pose[2], p[1] - pose[3], p[2] - pose[4]))
+    return direction_before(pose, (p[0] - pose[2], p[1] - pose[3], p[2] - pose[4]))
 
 
 @compiled(allocates=False)
@@ -108,7 +108,7 @@ def _set_before(pose, values, out, is_place):  # type: ignore[no-untyped-def]
     """Sets out (n, 3) to places or directions (n, 3) before the moves of poses (n, 5)."""
     for k in range(len(out)):
         v = get(values, k, 0)
-        put(out, k, 0, moved_back(pose[k], v) if is_place else turned_back(pose[k], v))
+        put(out, k, 0, place_before(pose[k], v) if is_place else direction_before(pose[k], v))
 
 
 def places_before(pose: Floats, places: Floats) -> Floats:

@@ -26,7 +26,15 @@ from datagen.transport.cuts import AT_LEAST, Cuts
 from datagen.transport.fov_clusters import FovClusters
 from datagen.transport.geometry import get, put
 from datagen.transport.laser_points import LaserPoints
-from datagen.transport.movers import STANDS, Mover, directions_before, moved, moved_back, places_before, turned_back
+from datagen.transport.movers import (
+    STANDS,
+    Mover,
+    direction_before,
+    directions_before,
+    place_after,
+    place_before,
+    places_before,
+)
 
 TURNED = (3, 11, 14)
 """Columns of a cluster's row where directions begin; its middle is in the first columns."""
@@ -170,9 +178,9 @@ def _move_clusters(pose, of, each, cluster):  # type: ignore[no-untyped-def]
     for k in range(len(of)):
         for c in range(cluster.shape[1]):
             row = cluster[k]
-            put(row, c, 0, moved_back(pose[k], get(row, c, 0)))
+            put(row, c, 0, place_before(pose[k], get(row, c, 0)))
             for column in TURNED:
-                put(row, c, column, turned_back(pose[k], get(row, c, column)))
+                put(row, c, column, direction_before(pose[k], get(row, c, column)))
             row[c, FIRST] += (k - of[k]) * each
 
 
@@ -187,7 +195,7 @@ def _legs_elsewhere(batch, rows, leg, there, back, frame, origin, span):  # type
             p = (
                 ends[k, 0] * frame[3] + frame[0], ends[k, 1] * frame[3] + frame[1], ends[k, 2] * frame[3] + frame[2]
             )  # fmt: skip
-            p = moved_back(back[row], moved(there[row], p))
+            p = place_before(back[row], place_after(there[row], p))
             for c in range(3):
                 value = np.float32((p[c] - frame[c]) / frame[3])
                 if end == 0:

@@ -52,7 +52,7 @@ class Aim(NamedTuple):
 
 
 def aim_of(caster: Raycaster, scene: Scene, planes: Floats, guesses: int) -> Aim:
-    """The aim of pairs before they are known; `aimed_at` adds their guesses.
+    """The aim of pairs before they are known; `aim_at_pairs` adds their guesses.
 
     planes : (L, 6) positions and normals of laser points. guesses : most triangles that get guesses for each pair.
     """
@@ -87,7 +87,7 @@ def aim_of(caster: Raycaster, scene: Scene, planes: Floats, guesses: int) -> Aim
     return Aim(np.cumsum(chance), per_area, begin, stride, count, triangles, first, rank, density, share)
 
 
-def aimed_at(aim: Aim, setup, x, v, size: Floats, area: Floats, radius: Floats) -> Aim:  # type: ignore[no-untyped-def]
+def aim_at_pairs(aim: Aim, setup, x, v, size: Floats, area: Floats, radius: Floats) -> Aim:  # type: ignore[no-untyped-def]
     """The aim with guesses for n pairs of laser point x and point v that the middle of the pixel sees.
 
     setup, x, v : see `path_steps.py`; rows without power are points that do not exist. size : (n,) half the width of

@@ -144,7 +144,7 @@ def empty_record(record: type[R], n: int) -> R:
     ))  # fmt: skip
 
 
-def head(record: R, n: int) -> R:
+def first_rows(record: R, n: int) -> R:
     """The first n rows of a record of arrays."""
     return type(record)(*(values[:n] for values in record))
 
@@ -348,7 +348,7 @@ def rays_back(setup, v, numbers, rays):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def seen_from(setup, v, rays, faces, h):  # type: ignore[no-untyped-def]
+def fill_seen_vertices(setup, v, rays, faces, h):  # type: ignore[no-untyped-def]
     """Fill h with the vertices that FoV points v see along rays, a row for each sample; `face` is −1 for none."""
     for s in range(len(v.power)):
         h.face[s] = -1
@@ -412,7 +412,7 @@ def rays_onward(setup, samples, x, order, rays):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def toward(setup, b, h, rays):  # type: ignore[no-untyped-def]
+def rays_toward(setup, b, h, rays):  # type: ignore[no-untyped-def]
     """Fill rays with those from vertices b to the vertices h that FoV points see; returns how many."""
     count = 0
     for i in range(len(b.sample)):
@@ -453,7 +453,7 @@ def _end_of_leg(values, b, w, r, n, by_area, second):  # type: ignore[no-untyped
 
 
 @compiled()
-def arrivals(setup, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
+def fill_arrivals(setup, samples, b, rays, faces, second, returning, x, of):  # type: ignore[no-untyped-def]
     """Fill x with the vertices that vertices b light along rays, with their power over their density, and `of` with
     the row of the b of each; returns how many.
 
@@ -518,7 +518,7 @@ def _photons(values, x, v, solid_angle, by_area, order):  # type: ignore[no-unty
 
 
 @compiled()
-def joined(setup, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
+def fill_joined_paths(setup, samples, x, v, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of `order` bounces from vertices x to the FoV points v of their samples, and rays with
     a shadow ray for each; returns how many."""
     count, values, part, aim, row = 0, setup.scene.values, setup.part, samples.aim, samples.row
@@ -538,7 +538,7 @@ def joined(setup, samples, x, v, order, found, rays):  # type: ignore[no-untyped
 
 
 @compiled()
-def landed(setup, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
+def fill_landed_paths(setup, samples, x, y, of, order, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with the paths of `order` bounces that end at those vertices y, lit by the vertices x of rows
     `of`, that the pixel of the sample may see, and rays with a shadow ray from the sensor for each; returns how many.
     """
@@ -568,7 +568,7 @@ def landed(setup, samples, x, y, of, order, found, rays):  # type: ignore[no-unt
 
 
 @compiled()
-def one_bounce(setup, samples, x, found, rays):  # type: ignore[no-untyped-def]
+def fill_paths_of_one_bounce(setup, samples, x, found, rays):  # type: ignore[no-untyped-def]
     """Fill `found` with paths of one bounce, f cosθ A / R²: the laser points x themselves where the pixel sees them;
     and rays with a shadow ray from the sensor for each; returns how many."""
     count, values, pixel = 0, setup.scene.values, samples.pixel

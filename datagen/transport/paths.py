@@ -37,8 +37,8 @@ from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_of, aimed_at
-from datagen.transport.path_steps import Found, PathSetup, Rays, Samples, Vertices, empty_record, head
+from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_at_pairs, aim_of
+from datagen.transport.path_steps import Found, PathSetup, Rays, Samples, Vertices, empty_record, first_rows
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import Paths, dots
 from datagen.transport.sampling import ROULETTE_FROM, SURVIVAL, sobol_points, stream_seeds
@@ -70,17 +70,18 @@ class _Batch:
         pair, number = np.divmod(np.arange(first, last), tracer.samples)
         self.laser, pixel = tracer.pairs[pair].T.copy()
         numbers = sobol_points(tracer.seeds[pair], number, steps.DIMENSIONS)
-        aim = tracer.aimed(np.arange(pair[0], pair[-1] + 1))
+        aim = tracer.aim_of_pairs(np.arange(pair[0], pair[-1] + 1))
         self.samples = Samples(pixel, numbers, tracer.later[pair], number, pair - pair[0], aim)
 
-    def met(self, rays: Rays) -> NDArray[np.int32]:
+    def first_faces(self, rays: Rays) -> NDArray[np.int32]:
         """The first triangle (n,) along each ray, −1 for none."""
         return self.caster.closest_scaled(rays.origin, rays.direction)
 
-    def unhidden(self, count: int) -> Found:
+    def unhidden_paths(self, count: int) -> Found:
         """The first `count` paths, without those whose shadow ray meets something."""
-        rays = head(self.buffers.rays, count)
-        return rows_of(head(self.buffers.found, count), ~self.caster.occluded_scaled(rays.origin, rays.direction))
+        rays = first_rows(self.buffers.rays, count)
+        is_hidden = self.caster.occluded_scaled(rays.origin, rays.direction)
+        return rows_of(first_rows(self.buffers.found, count), ~is_hidden)
 
     def laser_points(self) -> Vertices:
         """The laser points x₁ of the samples whose laser ray meets a surface."""
@@ -90,51 +91,55 @@ class _Batch:
             a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
             u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
             points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
-        return head(self.buffers.turn[2], steps.fill_laser_points(self.setup, points, number, self.buffers.turn[2]))
+        x = self.buffers.turn[2]
+        return first_rows(x, steps.fill_laser_points(self.setup, points, number, x))
 
-    def beside(self, v: Vertices) -> Vertices:
+    def vertices_beside(self, v: Vertices) -> Vertices:
         """For each sample the vertex that its FoV point sees along a ray drawn by the BRDF, against the direction of
         light; its triangle is −1 for none."""
-        rays = head(self.buffers.rays, steps.rays_back(self.setup, v, self.samples.numbers, self.buffers.rays))
-        steps.seen_from(self.setup, v, rays, self.met(rays), self.buffers.beside)
+        rays = first_rows(self.buffers.rays, steps.rays_back(self.setup, v, self.samples.numbers, self.buffers.rays))
+        steps.fill_seen_vertices(self.setup, v, rays, self.first_faces(rays), self.buffers.beside)
         return self.buffers.beside
 
-    def arrivals(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
+    def vertices_at_ends(self, b: Vertices, count: int, order: int, returning: bool) -> tuple[Vertices, Ints]:
         """The vertices that vertices b, the last before the FoV point of paths of `order`, light along the first
         `count` rays, and the row of the b of each."""
-        rays, turn = head(self.buffers.rays, count), self.buffers.turn
+        rays, turn = first_rows(self.buffers.rays, count), self.buffers.turn
         x = self.buffers.back if returning else turn[(order + 1) % 3]
-        faces, of = self.met(rays), self.buffers.of
-        count = steps.arrivals(self.setup, self.samples, b, rays, faces, order == 2, returning, x, of)
-        return head(x, count), of[:count]
+        faces, of = self.first_faces(rays), self.buffers.of
+        count = steps.fill_arrivals(self.setup, self.samples, b, rays, faces, order == 2, returning, x, of)
+        return first_rows(x, count), of[:count]
 
     def join(self, x: Vertices, v: Vertices, order: int) -> int:
         """Number of paths of `order` bounces from vertices x to the FoV points drawn from the pixel; they and their
         shadow rays are in the buffers."""
-        return int(steps.joined(self.setup, self.samples, x, v, order, self.buffers.found, self.buffers.rays))
+        found, rays = self.buffers.found, self.buffers.rays
+        return int(steps.fill_joined_paths(self.setup, self.samples, x, v, order, found, rays))
 
-    def back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
-        """Paths of `order` bounces from vertices b by way of vertices h that `beside` found."""
-        count = steps.toward(self.setup, b, h, self.buffers.rays)
+    def paths_back(self, b: Vertices, h: Vertices, v: Vertices, order: int) -> Found:
+        """Paths of `order` bounces from vertices b by way of vertices h that `vertices_beside` found."""
+        count = steps.rays_toward(self.setup, b, h, self.buffers.rays)
         # h was found by a ray from v, so that nothing stands between.
-        return head(self.buffers.found, self.join(self.arrivals(b, count, order - 1, True)[0], v, order))
+        x, _ = self.vertices_at_ends(b, count, order - 1, True)
+        return first_rows(self.buffers.found, self.join(x, v, order))
 
-    def onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
+    def vertices_onward(self, x: Vertices, order: int) -> tuple[Vertices, Ints]:
         """The next vertices that the vertices x of `order` light, and the row of the x of each."""
         if order == 2:
             count = steps.rays_to_second(self.setup, self.samples, x, self.buffers.rays)
         else:
             count = steps.rays_onward(self.setup, self.samples, x, order, self.buffers.rays)
-        return self.arrivals(x, count, order, False)
+        return self.vertices_at_ends(x, count, order, False)
 
-    def land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
+    def paths_that_land(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Found:
         """Paths of `order` bounces whose last vertex y, where a ray from x landed, falls inside the pixel."""
         found, rays = self.buffers.found, self.buffers.rays
-        return self.unhidden(steps.landed(self.setup, self.samples, x, y, of, order, found, rays))
+        return self.unhidden_paths(steps.fill_landed_paths(self.setup, self.samples, x, y, of, order, found, rays))
 
-    def one_bounce(self, x: Vertices) -> Found:
+    def paths_of_one_bounce(self, x: Vertices) -> Found:
         """Paths of one bounce: the laser points x themselves where the pixel sees them."""
-        return self.unhidden(steps.one_bounce(self.setup, self.samples, x, self.buffers.found, self.buffers.rays))
+        found, rays = self.buffers.found, self.buffers.rays
+        return self.unhidden_paths(steps.fill_paths_of_one_bounce(self.setup, self.samples, x, found, rays))
 
     def survivors(self, x: Vertices, y: Vertices, of: Ints, order: int) -> Vertices:
         """Russian roulette: some of the vertices y, with more power, so that paths end."""
@@ -146,22 +151,22 @@ class _Batch:
         """All paths of the batch, by order and way."""
         x, v = self.laser_points(), self.tracer.fov_points(self.samples.pixel, self.samples.numbers)
         if direct:
-            yield 1, self.one_bounce(x)
+            yield 1, self.paths_of_one_bounce(x)
         order, b, h = 2, x, v
         # x is the vertex before the FoV point of paths of `order`, and b the one before that.
         while max_bounces != 1 and len(x.sample):
             if order == 3:
-                h = self.beside(v)
+                h = self.vertices_beside(v)
             is_wanted = order > 2 or direct
             if is_wanted:
-                yield order, self.unhidden(self.join(x, v, order))
+                yield order, self.unhidden_paths(self.join(x, v, order))
             if order > 2:
-                yield order, self.back(b, h, v, order)
+                yield order, self.paths_back(b, h, v, order)
             if order == max_bounces and not is_wanted:
                 return
-            y, of = self.onward(x, order)
+            y, of = self.vertices_onward(x, order)
             if is_wanted:
-                yield order, self.land(x, y, of, order)
+                yield order, self.paths_that_land(x, y, of, order)
             if order == max_bounces:
                 return
             if max_bounces is None and order >= ROULETTE_FROM:
@@ -206,19 +211,20 @@ class Tracer:
             for order, found in _Batch(self, first, min(first + at_once, total)).paths(max_bounces, direct):
                 yield first, order, found
 
-    def aimed(self, pairs: Ints) -> Aim:
+    def aim_of_pairs(self, pairs: Ints) -> Aim:
         """How some pairs (n,) draw points by area."""
         laser, pixel = self.pairs[pairs].T.copy()
         v, number = self.fov_points(pixel, np.full((len(pairs), 2), 0.5)), self.laser_row[laser]
         x = Vertices(*(values[number] for values in self.lasers)) if len(self.lasers.sample) else v
         x = x._replace(power=x.power * (number >= 0))
         size = 0.5 * np.sqrt(self.setup.solid_angle[pixel]) * v.path
-        return aimed_at(self.even_aim, self.setup, x, v, size, self.caster.face_area_m2, self.radius)
+        return aim_at_pairs(self.even_aim, self.setup, x, v, size, self.caster.face_area_m2, self.radius)
 
     def fov_points(self, pixel: Ints, numbers: Floats) -> Vertices:
         """FoV points of pixels (n,) at places in the pixel that two numbers (n, 2) give, a row for each; `power` is 0
         where a line of sight meets nothing."""
-        rays, v, solid = head(self.buffers.rays, len(pixel)), head(self.buffers.fov, len(pixel)), np.empty(len(pixel))
+        rays, v = first_rows(self.buffers.rays, len(pixel)), first_rows(self.buffers.fov, len(pixel))
+        solid = np.empty(len(pixel))
         steps.lines_of_sight(self.setup, self.corners, pixel, numbers, rays, solid)
         faces = self.caster.closest_scaled(rays.origin, rays.direction)
         steps.fill_fov_points(self.setup, rays, faces, solid, v)

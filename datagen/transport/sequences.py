@@ -20,7 +20,7 @@ from datagen.transport.cuts import FAINT, SCATTER, SHARED
 from datagen.transport.dwell import MOST, MOST_WHOLE, instants, path_change
 from datagen.transport.effort import is_enough
 from datagen.transport.problem import components_asked
-from datagen.transport.shared_light import Moving, Static, in_view, moving_light, static_of
+from datagen.transport.shared_light import Moving, Static, hidden_by_movers, moving_light, static_of
 from datagen.transport.simulate import MET, warnings_of
 from datagen.transport.whole_frames import OtherComponents, transient_of_moments
 
@@ -147,14 +147,14 @@ def light_of_sequence(
     """
     if all(capture is captures[0] for capture in captures):
         if not scene.moving:
-            return _standing(scene, captures[0], times, accuracy, seed)
+            return _light_of_standing(scene, captures[0], times, accuracy, seed)
         light: SequenceLight | None = None
         if accuracy.target is not None and captures[0].illumination == "scan":
             light = shared_light(scene, captures[0], times, exposure_s, accuracy, seed, apart)
         if light is None:
             light = light_of_frames(scene, captures, times, exposure_s, accuracy, seed)
             if apart:
-                light = _told_apart(light, _without_movers(scene, captures[0], accuracy, seed))
+                light = _with_static_light(light, _without_movers(scene, captures[0], accuracy, seed))
         return light
     return light_of_frames(scene, captures, times, exposure_s, accuracy, seed)
 
@@ -166,7 +166,7 @@ def _without_movers(scene: Scene, capture: Capture, accuracy: Accuracy, seed: in
     return _frame(scene.without(*scene.moving), capture, np.zeros(1), accuracy, seed).total
 
 
-def _told_apart(light: SequenceLight, static: Floats) -> SequenceLight:
+def _with_static_light(light: SequenceLight, static: Floats) -> SequenceLight:
     """The light with so much (L, P, T) more of it that is static."""
     return replace(light, static=light.static + static, moving=light.moving - static)
 
@@ -182,7 +182,7 @@ def light_of_frames(
     return _of_transients(scene, times, frames, clock_time.perf_counter() - began)
 
 
-def _standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int) -> SequenceLight:
+def _light_of_standing(scene: Scene, capture: Capture, times: Floats, accuracy: Accuracy, seed: int) -> SequenceLight:
     """The light of a scene in which nothing moves."""
     frames, began = len(times), clock_time.perf_counter()
     once = _frame(scene, capture, np.zeros(1), accuracy, seed)
@@ -211,7 +211,7 @@ def shared_light(
     if static is None:
         return None
     ready = clock_time.perf_counter()
-    hidden = in_view(static, capture)
+    hidden = hidden_by_movers(static, capture)
     if hidden.all():
         return None
     others, moving = [name for name in components if name != "primary"], moving_light(static)
@@ -303,7 +303,7 @@ def _with_others(
     light = replace(light, moving=moving)
     if apart:
         still = others.of([scene.without(*scene.moving)], static, 0.0)
-        light = _told_apart(light, still.light.sum(axis=0).reshape(shape))
+        light = _with_static_light(light, still.light.sum(axis=0).reshape(shape))
     ways = {name: f"frames: {way}" for name, way in others.samplers.items()}
     return replace(
         light, stderr=np.sqrt(stderr), overflow=overflow, change_stderr=np.sqrt(change),
@@ -349,7 +349,7 @@ def _frame(scene: Scene, capture: Capture, at: Floats, accuracy: Accuracy, seed:
 
 
 class _Errors(NamedTuple):
-    """Of changes: standard errors (F, L, P, T), and L2 errors (F,), photons."""
+    """Errors of the changes from frame to frame: standard errors (F, L, P, T), and L2 errors (F,), photons."""
 
     stderr: Floats
     error: Floats

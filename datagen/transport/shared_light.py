@@ -69,7 +69,7 @@ class Static(NamedTuple):
 
     @property
     def frames(self) -> int:
-        """How many there are."""
+        """Number of frames."""
         return int(self.movers[0].pose.shape[1])
 
 
@@ -214,7 +214,7 @@ class _Pilot(NamedTuple):
         return math.sqrt(max(square - self.more * 0.25 * l2_norm(self.both[0] - self.both[1]) ** 2, 0.1 * square))
 
 
-def _moving(looks: Sequence[_Pilot], blocked: _Pilot) -> _Pilot:
+def _light_of_movers(looks: Sequence[_Pilot], blocked: _Pilot) -> _Pilot:
     """The light of all movers, less what they block."""
     return _Pilot(sum((look.both for look in looks), start=-blocked.both), blocked.more)
 
@@ -242,7 +242,8 @@ class _Piloted(NamedTuple):
         return cls([Jobs.of(cuts, some, np.full((1, len(some)), f)) for some, f in each], weights, F * H / count)
 
     def look(self, own: OwnLight, delta: float, error: float, number: int) -> _Pilot:
-        """At the own light of a mover, of elements that bring at most `delta` in a frame of weight 1."""
+        """What a run tells of the own light of a mover, of elements that bring at most `delta` photons in a frame of
+        weight 1."""
         found = []
         for jobs in self.jobs:
             weight = self.weights[jobs.frame[:, 0]]
@@ -250,7 +251,7 @@ class _Piloted(NamedTuple):
         return _Pilot(np.concatenate(found, axis=2), self.more)
 
     def look_at(self, shadows: Shadows) -> _Pilot:
-        """At what all movers block."""
+        """What a run tells of the light that all movers block."""
         found = [
             shadows.run(jobs, SIDE, 1)[0].sum(axis=1) / self.weights[jobs.frame[:, 0]] for jobs in self.jobs
         ]  # fmt: skip
@@ -291,7 +292,7 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
     # Of each mover, and of their shadows, an equal share.
     share, per = math.sqrt(1.0 / (1 + len(owns))), math.sqrt(F * H)
     looks = [pilot.look(own, np.inf, np.inf, 1) for own in owns]
-    asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
+    asked = share * _error_asked(static, _light_of_movers(looks, blocked).norm, whole)
     delta, again, few = np.full(len(owns), COARSER * asked / per), *np.full((2, len(owns)), True)
     for turn in range(PILOTS):
         for m in np.flatnonzero(again).tolist():
@@ -301,7 +302,7 @@ def _effort(static: Static, cuts: Cuts, owns: Sequence[OwnLight], shadows: Shado
             if owns[m].is_limited:
                 return None
         # With less noise there is less light than the look seemed to meet.
-        asked = share * _error_asked(static, _moving(looks, blocked).norm, whole)
+        asked = share * _error_asked(static, _light_of_movers(looks, blocked).norm, whole)
         error = np.maximum([look.error for look in looks], 1e-3 * asked)
         wanted = np.minimum(delta * (asked / error) ** (1.0 / FALLS), np.where(few, delta / CLOSE**2, delta))
         again = CLOSE * wanted < delta
@@ -325,7 +326,7 @@ def _error_asked(static: Static, norm: float, whole: float) -> float:
     return max(min(own, static.target * math.hypot(whole, norm)), 1e-100)
 
 
-def in_view(static: Static, capture: Capture) -> Bools:
+def hidden_by_movers(static: Static, capture: Capture) -> Bools:
     """(F,) whether a mover hides a laser point from the laser, or any of what a pixel sees from the sensor."""
     problem, sensor = static.problem, capture.sensor
     points, pairs = problem.points, problem.pairs.ends

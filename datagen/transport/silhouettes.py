@@ -596,7 +596,7 @@ def _is_deep(point, view, views, side, bits):  # type: ignore[no-untyped-def]
 
 
 @compiled(allocates=False)
-def _seen_but_not_lit(cell, legs, nearest, shift, i, views, side, bits, near):  # type: ignore[no-untyped-def]
+def _places_seen_but_not_lit(cell, legs, nearest, shift, i, views, side, bits, near):  # type: ignore[no-untyped-def]
     """Bits of the places of a pixel's cell that movers hide from a FoV point and not from laser point i.
 
     nearest : depth of the movers there. shift : of the FoV point from the middle of the pixel, on the face. views :
@@ -698,7 +698,7 @@ def _pour_all(job, drawn, cells, flows, views, ends, side, bits, near, done, lig
                 j = p * points + z_cells.point[k]
                 cell, legs = _cell_at(z_cells, k, z_views, p, ends, side), _legs_of(ends, i, p, j)
                 shift = on_face(face, along(z_views.axes[p], subtract(legs.z, get(z_views.origin, p, 0))))
-                found = _seen_but_not_lit(cell, legs, nearest, shift, i, x_views, side, bits, near)
+                found = _places_seen_but_not_lit(cell, legs, nearest, shift, i, x_views, side, bits, near)
                 if found != 0:
                     to = light[ends.slot[ends.part[z_cells.face[k]]], to_row]
                     taken, time, wide, narrow = _spread(cell, legs, found, row, setup, side)

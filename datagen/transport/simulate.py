@@ -24,7 +24,7 @@ from datagen.transport.coincidence import Apart, set_apart
 from datagen.transport.cuts import Beside, PrimaryLight, primary_by_cuts
 from datagen.transport.doubts import doubts, has_none, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
-from datagen.transport.flood import Beam, at_flooded_sensor, one_bounce_of_beam
+from datagen.transport.flood import Beam, light_at_flooded_sensor, one_bounce_of_beam
 from datagen.transport.laser_points import LaserPoints
 from datagen.transport.path_light import PathsOf, with_samples
 from datagen.transport.problem import Estimate, Problem, nothing
@@ -113,11 +113,11 @@ def simulate(
 def warnings_of(apart: Apart, capture: Capture, accuracy: Accuracy) -> list[str]:
     """Lines about what a user of a scene and capture did not mean, most likely."""
     scene, caster = apart.scene, apart.caster
-    astray = _astray(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
+    astray = _warning_of_stray_rays(scene, accuracy, LaserPoints.of(caster, scene, capture.laser).part)
     return [line for line in (apart.warning, astray) if line] + list(doubts(scene, capture, caster, accuracy.direct))
 
 
-def _astray(scene: Scene, accuracy: Accuracy, part: Ints) -> str:
+def _warning_of_stray_rays(scene: Scene, accuracy: Accuracy, part: Ints) -> str:
     """A warning about laser rays that meet nothing or an object instead of the relay wall; empty if all is well.
 
     part : (L,) index of the part that each laser ray meets, −1 for none.
@@ -157,14 +157,14 @@ def transient_of(
     if not (problem.points.part >= 0).any():
         found = nothing(problem)
     else:
-        found = with_samples(problem) if accuracy.target is None else _to_target(problem, beam)
+        found = with_samples(problem) if accuracy.target is None else _light_to_target(problem, beam)
     if is_flood:
-        found = at_flooded_sensor(problem, found, beam)
+        found = light_at_flooded_sensor(problem, found, beam)
     seconds = {"prepare": ready - began, "trace": clock_time.perf_counter() - ready}
     return Transient(time=capture.time, laser_points=problem.points.position, seconds=seconds, **vars(found))
 
 
-def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
+def _light_to_target(problem: Problem, beam: Beam | None) -> Estimate:
     """The light of all components to a target: three bounces by cuts, four and more by blocks, direct light and what
     these leave by plain paths.
 
@@ -180,7 +180,7 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
     beside = Beside(l2_norm(first), of_parts)
     if "direct" in components and "primary" in components:
         # What is asked of the primary follows from the light of all, of which direct light may be most.
-        look = sampled(problem, ["direct"], first, 0.0, ABOUT).found
+        look = light_by_samples(problem, ["direct"], first, 0.0, ABOUT).found
         known = l2_norm(look.light["direct"] + first) ** 2 - look.error["direct"] ** 2
         beside = beside._replace(whole=max(math.sqrt(max(known, 0.0)), beside.whole))
     primary = None
@@ -188,21 +188,21 @@ def _to_target(problem: Problem, beam: Beam | None) -> Estimate:
         # Squared errors add up, and the primary takes an equal share; what it leaves of its share is for the others.
         primary = primary_by_cuts(problem, accuracy.target * math.sqrt(1 / len(components)), beside)
     if primary is None:
-        return _estimate_of(problem, first, None, sampled(problem, components, first, 0.0))
+        return _estimate_of(problem, first, None, light_by_samples(problem, components, first, 0.0))
     own, so_far = primary.total, primary.total + first
-    found = sampled(problem, others, so_far, primary.error)
+    found = light_by_samples(problem, others, so_far, primary.error)
     norm = l2_norm(sum(found.found.light.values(), start=so_far))
     if is_enough(primary.error, l2_norm(own), norm, accuracy.target):
         return _estimate_of(problem, first, primary, found)
     # Narrow lobes may leave cuts far from the target; paths, which follow the lobes, are better there.
     rest = sum(found.found.light.values(), start=np.zeros_like(own)) + first
-    again = sampled(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
+    again = light_by_samples(problem, ["primary"], rest, math.hypot(*found.found.error.values()))
     return _estimate_of(
-        problem, first, None, Samples(found.sources | again.sources, found.found.replaced_by(again.found))
+        problem, first, None, Samples(found.sources | again.sources, found.found.with_components_of(again.found))
     )
 
 
-def sampled(
+def light_by_samples(
     problem: Problem, components: Sequence[str], known: Floats, error: float, target: float | None = None,
     like: Samples | None = None,
 ) -> Samples:  # fmt: skip
@@ -234,7 +234,8 @@ def sampled(
         kept = {name: light for name, light in found.light.items() if name not in poor}
         rest = math.hypot(error, *(found.error[name] for name in kept))
         # Whatever they claim: to choose what claims less is to choose what met less light.
-        found = found.replaced_by(sample_to_target(paths, known.shape, target, known + sum(kept.values()), rest))
+        more = sample_to_target(paths, known.shape, target, known + sum(kept.values()), rest)
+        found = found.with_components_of(more)
         sources |= paths
     return Samples(sources, found)
 

@@ -18,7 +18,7 @@ from datagen.records.arrays import Floats, l2_norm
 from datagen.transport.blocks import BlocksOf
 from datagen.transport.coincidence import set_apart
 from datagen.transport.problem import Problem
-from datagen.transport.simulate import MET, Samples, sampled, transient_of
+from datagen.transport.simulate import MET, Samples, light_by_samples, transient_of
 
 
 def transient_of_moments(scenes: Sequence[Scene], capture: Capture, accuracy: Accuracy, seed: int) -> Transient:
@@ -121,7 +121,7 @@ class OtherComponents:
             problem = Problem.of(
                 one.scene, self.capture, self.accuracy, own_seed, split_parts=False, caster=one.caster
             )
-            samples = sampled(
+            samples = light_by_samples(
                 problem, self.names, known, math.sqrt(n) * error, math.sqrt(n) * target, like=self.first
             )  # fmt: skip
             self.first, found = self.first or samples, samples.found

@@ -14,7 +14,7 @@ import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
 from datagen.errors import InputError
 from datagen.records import Capture, Scene
-from datagen.transport.flood import delayed
+from datagen.transport.flood import with_delays
 
 ROOM: dict[str, Any] = {**SQUARE_ROOM, "materials": {"relay_wall": {"albedo": 0.8}}}
 SIDE_M, ZONES = 1.2, 4
@@ -88,7 +88,7 @@ def test_a_delay_moves_the_mean_time_of_light_and_loses_none_but_at_the_ends() -
     light[:, :, 100:130] = np.random.default_rng(0).random((pixels, 30))
     corners = np.array([(1, -1, -1), (1, 1, -1), (1, 1, 1), (1, -1, 1)], float)
     sensor = dg.Sensor((0, 0, 0), np.tile(corners, (pixels, 1, 1)), delays_s=DELAYS_BINS * axis.width_s)
-    late = delayed(light, sensor, axis)
+    late = with_delays(light, sensor, axis)
     kept = np.abs(DELAYS_BINS) < 100
     assert not late[:, ~kept].any()
     energy, mean = late.sum(axis=2)[0], late[0] @ axis.centers_s

@@ -14,7 +14,7 @@ from datagen.bench.plain_check import PlainPaths
 from datagen.errors import InputError
 from datagen.records import Material, Transient
 from datagen.transport.blocks import Blocks, BlocksOf
-from datagen.transport.effort import REPLICATES, estimated
+from datagen.transport.effort import REPLICATES, estimate_of
 from datagen.transport.problem import Problem
 
 AXIS = bins_of_path(40, 0.5, 0.0)
@@ -69,7 +69,7 @@ def test_what_boxes_blur_is_part_of_the_error(shape: str) -> None:
     true, claimed, plain = [], [], []
     for _ in range(200):
         each = (truth + 0.3 * rng.normal(size=(REPLICATES, 1, bins))).astype(np.float32)
-        mean, error2, variance, _ = estimated(each)
+        mean, error2, variance, _ = estimate_of(each)
         true.append(float(((mean[0] - truth) ** 2).sum()))
         claimed.append(error2)
         plain.append(float(variance.sum()))
@@ -172,7 +172,7 @@ def test_an_error_of_all_bins_alike_counts() -> None:
     rng = np.random.default_rng(4)
     factor = 1 + 0.2 * rng.normal(size=(REPLICATES, 1, 1))
     each = (factor * np.ones((1, 1, 200))).astype(np.float32)
-    _, error2, variance, _ = estimated(each)
+    _, error2, variance, _ = estimate_of(each)
     assert error2 == pytest.approx(variance.sum(), rel=0.05, abs=0)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import datagen as dg
 from datagen.config import DatasetConfig, config_from_mapping
-from datagen.detector.carry_over import carried_over
+from datagen.detector.carry_over import share_carried_over
 from datagen.errors import InputError
 from datagen.evidence.change import changes_of
 from datagen.labels import make_labels
@@ -199,8 +199,8 @@ def test_exposures_that_do_not_fit_or_carry_counts_over_are_refused() -> None:
             setup_of(scene_of(WALK), config.model_copy(update={"detector": kept}))
     exposure = dg.Exposure(cycles=3900)
     spad = dg.Spad(dead_time_s=50e-9, afterpulse_probability=0.01, afterpulse_times_s=(50e-9,))
-    assert carried_over(spad, exposure) == pytest.approx(2.5e-4, rel=0.05)
-    assert carried_over(replace(spad, mode="synchronous"), exposure) == 0.0
+    assert share_carried_over(spad, exposure) == pytest.approx(2.5e-4, rel=0.05)
+    assert share_carried_over(replace(spad, mode="synchronous"), exposure) == 0.0
 
 
 def test_a_flood_and_pairs_have_frames_too() -> None:

@@ -261,8 +261,8 @@ MUTATIONS = (
     ),
     Mutation(
         "paths: no shadow ray to the FoV point", "paths.py",
-        "yield order, self.unhidden(self.join(x, v, order))",
-        "yield order, head(self.buffers.found, self.join(x, v, order))",
+        "yield order, self.unhidden_paths(self.join(x, v, order))",
+        "yield order, first_rows(self.buffers.found, self.join(x, v, order))",
         OCCLUDER + "[0.1-paths]",
     ),
     Mutation(

@@ -55,7 +55,7 @@ def share(material: GGX, cosine: Floats, azimuth_rad: Floats) -> Floats:
     values = np.array([1.0, *row(material)])
     gauss = unit_gauss(64)
     single = [single_albedo(values[1], values[2], c, gauss) for c in cosine.ravel()]
-    lost = np.array([1 - tabulated(values, c) for c in cosine.ravel()])
+    lost = np.array([1 - albedo_in_table(values, c) for c in cosine.ravel()])
     return np.asarray((single + multiple_share(values[2], values[3]) * lost).reshape(cosine.shape))
 
 
@@ -133,7 +133,7 @@ def _cosine_at(alpha: float, place: float) -> float:
 
 
 @compiled()
-def tabulated(values: Floats, cosine: float) -> float:
+def albedo_in_table(values: Floats, cosine: float) -> float:
     """E at a cosine of incidence, interpolated by a parabola through the three nodes of each panel."""
     position = place(values[1], cosine)
     panel = min(int(position), PANELS - 1)
@@ -191,7 +191,7 @@ def _of_facets(values: Floats, to_facet: float, facets: float, cos_in: float, co
     """The BRDF, 1/sr, where facets of density `facets` mirror the light at an angle whose cosine is `to_facet`."""
     alpha, f0, mean = values[1], values[2], values[3]
     masking = 0.5 / (cos_out * _smith_root(alpha, cos_in) + cos_in * _smith_root(alpha, cos_out))
-    lost = (1.0 - tabulated(values, cos_in)) * (1.0 - tabulated(values, cos_out))
+    lost = (1.0 - albedo_in_table(values, cos_in)) * (1.0 - albedo_in_table(values, cos_out))
     multiple = multiple_share(f0, mean) * lost / (math.pi * (1.0 - mean)) if mean < 1.0 else 0.0
     return float(values[0] * (_schlick(f0, to_facet) * facets * masking + multiple))
 
@@ -216,7 +216,7 @@ def _facet_share(values: Floats, cos_in: float) -> float:
     """Share of directions that `sample` draws by a facet; the others are directions of multiple scattering."""
     # In proportion to the light of each. The Fresnel factor of single scattering is only estimated: any share is
     # valid.
-    f0, once = values[2], tabulated(values, cos_in)
+    f0, once = values[2], albedo_in_table(values, cos_in)
     single = max(_schlick(f0, cos_in), (1.0 + 20.0 * f0) / 21.0) * once
     return float(single / (single + multiple_share(f0, values[3]) * (1.0 - once)))
 
@@ -298,6 +298,6 @@ def white_table(alpha: float) -> tuple[float, ...]:
     within = (np.arange(PANELS)[:, None] + x) / PANELS
     cosines = alpha * within**2 / (1.0 + alpha - within**2)
     cells = 2.0 * cosines * weight * 2.0 * alpha * (1.0 + alpha) * within / (1.0 + alpha - within**2) ** 2 / PANELS
-    lost = np.array([[1.0 - tabulated(white, c) for c in panel] for panel in cosines]) * cells
+    lost = np.array([[1.0 - albedo_in_table(white, c) for c in panel] for panel in cosines]) * cells
     shares = np.cumsum(lost.sum(axis=1)) / lost.sum()
     return (1.0 - float(lost.sum()), *(float(v) for v in table), *(float(v) for v in shares))
