@@ -185,8 +185,6 @@ def test_an_error_of_all_bins_alike_counts() -> None:
         ({"samples": 64, "part_target": 0.1}, r"part_target = 0.1: needs a target"),
         ({"max_bounces": 2}, r"max_bounces = 2: .*direct=True"),
         ({"secondary": "strongest"}, r"secondary = 'strongest': .*datagen\.paper\.secondary"),
-        ({"observed": 64}, r"observed = 64: .*datagen\.paper\.secondary"),
-        ({"lookins": 64}, r"lookins = 64: .*samples"),
     ],
 )
 def test_what_means_nothing_is_refused_in_one_line(given: dict, words: str) -> None:

@@ -424,7 +424,7 @@ MUTATIONS = (
     ),
     Mutation(
         "files: half-written files removed where there are no locks", "datagen/store/files.py",
-        "if locked(handle, otherwise=False):", "if locked(handle, otherwise=True):",
+        "if try_lock(handle, otherwise=False):", "if try_lock(handle, otherwise=True):",
         BUILDS + "test_half_written_files_go_unless_their_writer_is_at_work",
     ),
     Mutation(
