@@ -17,7 +17,7 @@ ROOMS ?= 10000
 
 .PHONY: help setup demo smoke test tests check lint types format generated fuzz nightly bench bench-scaling \
 	bench-first bench-detector bench-devices bench-loaders bench-large bench-evidence bench-acceptance bench-sequences \
-	bench-peers peers wheel wheel-demo clean
+	bench-peers peers docs wheel wheel-demo clean
 
 help:
 	@sed -n '1,3p' Makefile | cut -c3-
@@ -25,7 +25,8 @@ help:
 	@echo "make smoke   one tiny scene from its configuration to a training batch, in seconds"
 	@echo "make tests   the tests alone;  make check   lint, format and types alone"
 	@echo "make format  rewrite the sources in house style"
-	@echo "make generated  remake configs/schema.json, docs/api.md and docs/materials.md from the sources"
+	@echo "make generated  remake configs/schema.json, docs/configuration_keys.md and docs/materials.md from the sources"
+	@echo "make docs    the pages in out/site, with the tutorials run"
 	@echo "make fuzz    thousands of random cases (SEED=…)"
 	@echo "make nightly the long statistical runs (hours)"
 	@echo "make wheel   a wheel in dist/;  make wheel-demo   the demo from the wheel alone;  make clean   remove what was made"
@@ -76,11 +77,19 @@ format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# JSON Schema from the keys, the API reference from the docstrings, the table of materials from the catalogue.
+# JSON Schema and the table of keys from the configuration models, the table of materials from the catalogue.
 generated: setup
 	$(BIN)/datagen schema > configs/schema.json
-	$(BIN)/python docs/make_api.py
+	$(BIN)/python docs/make_configuration_keys.py
 	$(BIN)/python docs/make_materials.py
+
+# The pages, with search, to be opened as files or put on any server. A tutorial is run again when a source is newer.
+docs: setup $(patsubst docs/%,out/%,$(wildcard docs/tutorials/*.ipynb))
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+	@echo "open out/site/index.html"
+
+out/tutorials/%.ipynb: docs/tutorials/%.ipynb $(shell find datagen scene_library -name '*.py') | setup
+	$(BIN)/python docs/run_tutorials.py $< $(@D)
 
 # Thousands of random cases, new ones at each run: make fuzz SEED=7 repeats one.
 fuzz: SEED ?= $(shell date +%s)

@@ -82,4 +82,4 @@ def test_scripts_and_tests_stand_apart() -> None:
 
 def test_contributing_shows_the_same_list() -> None:
     shown = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").replace(" · ", " ")
-    assert ROOMS.strip().replace("\n", "\n" + " " * 6) in shown
+    assert ROOMS.strip().replace("\n", "\n" + " " * 4) in shown

@@ -26,12 +26,12 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PYTHON = [
     (page.name, number, text)
     for page in PAGES
-    if page.name != "api.md"
     for number, text in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S))
 ]
 ELSEWHERE = {*vars(builtins), *collections.abc.__all__, *typing.__all__, "NDArray", "ArrayLike", "DTypeLike", "Path"}
 """Names that a Python programmer finds without us: of the language, of numpy's typing, of pathlib."""
-WRITTEN = runpy.run_path(str(ROOT / "docs/make_api.py"))["written"]
+WRITTEN = runpy.run_path(str(ROOT / "docs/docstrings.py"))["spelled"]
+"""An annotation as the page of the API has it."""
 
 
 def annotations(thing: object) -> Iterator[tuple[str, object]]:
@@ -55,7 +55,7 @@ def test_types_of_public_signatures_are_public(name: str) -> None:
         assert isinstance(kind, str), f"{name}: {kind} is evaluated, others are as the source has them"
         if kind.startswith("ClassVar"):
             continue
-        for word in re.findall(r"(?<![\w.'\"])[A-Za-z_]\w*\b(?!['\"])", WRITTEN(kind, thing)):
+        for word in re.findall(r"(?<![\w.'\"])[A-Za-z_]\w*\b(?!['\"])", WRITTEN(kind, thing.__module__)):
             assert word in ELSEWHERE or word in ("np", "torch", "trimesh") or hasattr(datagen, word), (name, kind)
 
 

@@ -59,6 +59,9 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     histogram and transient (L, P, T), label images (row, column), volumes (depth, row, column). `time_of(field)` has
     the bins of T. Of sequences what differs from frame to frame has a leading axis: histogram (F, L, P, T).
 
+    Each process opens the files for itself, at its first read; a dataset can be sent to loader workers that are
+    started in any way. Scenes whose simulation failed are left out, with a warning.
+
     Parameters
     ----------
     path : the folder of a complete dataset that `build` made, or its address `s3://bucket/name`. A complete dataset
@@ -117,9 +120,6 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
     partial : read the shards that are there now, while the first build or the growth of a dataset goes on or after it
         was interrupted. Shards that are made later are there when the dataset is opened anew. A scene may change its
         split as long as the first scene that shows its room is missing.
-
-    Each process opens the files for itself, at its first read; a dataset can be sent to loader workers that are
-    started in any way. Scenes whose simulation failed are left out, with a warning.
 
     Raises
     ------

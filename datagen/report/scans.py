@@ -110,7 +110,8 @@ def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
         for number, bins in enumerate(at):
             axes = right.add_subplot(len(layers), MOMENTS, line * MOMENTS + number + 1)
             extent = (*reach(raster.x_m), *reach(raster.z_m)[::-1])
-            shown = np.sqrt(scan[..., bins].sum(axis=-1))
+            # Noise leaves a little less than no light where hardly any is.
+            shown = np.sqrt(np.maximum(scan[..., bins].sum(axis=-1), 0.0))
             axes.imshow(shown, extent=extent, cmap=_COLORS, interpolation="nearest", vmin=0.0)
             edges = light.time.edges_s * 1e9
             axes.set(xlabel="right (m)", ylabel="" if number else f"{what or 'all'}: up (m)")
