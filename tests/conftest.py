@@ -35,6 +35,7 @@ FIRST = (
     "store/test_items_kept.py",
     "store/test_build.py",
     "equivalence/test_all_ways.py",
+    "test_pages.py",
     "formats/test_imports.py",
     "store/test_kills.py",
     "fuzz/test_fuzz_transport.py",
