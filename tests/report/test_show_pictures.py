@@ -174,6 +174,17 @@ def test_a_scan_without_a_grid_shows_time_against_laser_point(dark: bool) -> Non
         np.testing.assert_allclose(np.asarray(image.get_array()).T[kept], total[kept])
 
 
+def test_noise_below_zero_is_drawn_as_no_light(usual: tuple[StoredScene, Replay]) -> None:
+    """Of sequences, whose light is what stands and what moves, blocks included."""
+    stored, again = usual
+    total = again.transient.total.copy()
+    total[0] = -1e-16  # at one laser point
+    below = replace(again.transient, components={"primary": total}, parts={})
+    (page,) = drawn(stored, replace(again, transient=below), ["scan"], laid_out=False).values()
+    shown = [np.asarray(image.get_array()) for axes in page.axes for image in axes.images]
+    assert len(shown) > 3 and all(np.isfinite(picture).all() for picture in shown[1:])
+
+
 @pytest.mark.parametrize(
     ("case", "wanted"),
     [("one bin", ["overview", "histogram"]), ("one laser point", ["overview"]), ("many pixels", ["overview"]),
