@@ -87,7 +87,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         input for convolutions: the backprojection onto the space behind the label images of the counts minus their
         mean over the scan, in units of their noise, divided by the root of the number of histograms. Noise alone has
         a standard deviation of about 1, and an object stands out from it at the pixels of its label. Of sequences
-        each frame has a volume (`minus`).
+        each frame has a volume (`minus`). `volume_bounds`, float32 (2, 3), has its lowest and its highest corner
+        along (right, up, depth) of the label frame, metres; row 0 is at the top and column 0 at the least right.
     voxels : number of voxels of a `volume` along (depth, row, column).
     minus : what is taken off the counts before a `volume` is made of them: `"scan"`, their mean over the scan, or, of
         sequences, `"mean"`, their mean over the frames of the item, in which what stands is gone.
@@ -331,6 +332,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
         if field == "volume" and self._volumes is not None:
             frames = () if self._windows.length is None else (self._windows.length,)
             return (*frames, *self._volumes.shape)
+        if field == "volume_bounds" and self._volumes is not None:
+            return (2, 3)
         if field not in self._fields:
             raise InputError(f"field = {shown(field)}: is not in {self.path}; it has {', '.join(self.fields)}")
         return (self._parts[field][0] or self._fields[field]).shape
@@ -544,7 +547,8 @@ class TransientDataset(Dataset[dict[str, torch.Tensor]]):
             counts = self._stored("histogram", scenes, windows)
         if self._volumes is not None:
             geometry = {name: self._stored(name, scenes, windows) for name in GEOMETRY}
-            return batch | {"volume": torch.from_numpy(self._volumes.backproject(scenes, counts, geometry))}
+            volumes, bounds = self._volumes.backproject(scenes, counts, geometry)
+            return batch | {"volume": torch.from_numpy(volumes), "volume_bounds": torch.from_numpy(bounds)}
         events, of_events = events_of(counts)
         return batch | {"events": torch.from_numpy(events), "counts": torch.from_numpy(self._cast(of_events))}
 

@@ -55,14 +55,16 @@ class Volumes:
 
     def backproject(
         self, scenes: Sequence[int], counts: NDArray[Any], geometry: Mapping[str, NDArray[Any]]
-    ) -> NDArray[np.float32]:
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(N, depth, row, column) volumes of N scenes, from counts (N, laser, pixel, bin) and the fields `GEOMETRY`;
-        of sequences (N, frame, …), from counts (N, frame, …).
+        of sequences (N, frame, …), from counts (N, frame, …). And (N, 2, 3) lowest and highest corner of each volume
+        along right, up and depth of the label frame, metres.
 
         Raises `InputError` for a scene that does not say where its hidden part is.
         """
         frames = counts.shape[1:-3]
         volumes = np.empty((len(counts), *frames, *self.shape), np.float32)
+        bounds_m = np.empty((len(counts), 2, 3), np.float32)
         for row, histograms in enumerate(counts):
             where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
             view, bounds = where["hidden_view"], where["hidden_bounds"]
@@ -72,10 +74,11 @@ class Volumes:
                     "to Scene.from_parts, or take another representation"
                 )
             grid = VoxelGrid.behind_images(ViewFrame.about(Rectangle(*view)), bounds, self.shape)
+            bounds_m[row] = grid.low, grid.high
             # With the mean over the frames taken off, what stands is gone, and the signal is whitened by that mean.
             mean = histograms.mean(axis=0) if self._minus == "mean" else None
             for frame in np.ndindex(frames):
                 there = where | {name: where[name][frame] for name in self._framed}
                 scan = scan_of(histograms[frame], there, self._capture, self._time, mean)
                 volumes[(row, *frame)] = backprojected_volume(scan, grid)
-        return volumes
+        return volumes, bounds_m

@@ -134,13 +134,22 @@ def test_volumes_are_those_of_the_histograms(dataset: Path) -> None:
     (batch,) = DataLoader(
         Subset(data, range(1, 8)), 7, collate_fn=dg.collate, num_workers=1, multiprocessing_context="fork"
     )
-    assert set(batch) == {"volume", "depth", "scene"} and data.shape("volume") == VOXELS
+    assert set(batch) == {"volume", "volume_bounds", "depth", "scene"}
+    assert data.shape("volume") == VOXELS and data.shape("volume_bounds") == (2, 3)
     assert "volume (5, 6, 7)" in repr(data)
     stored = Scenes(dataset)
     for row, scene in enumerate(range(1, 8)):
         of = stored.read(scene)
         due = volume_of(of.arrays["histogram"], of.arrays, stored.manifest.config["capture"], of.time)
         assert torch.equal(batch["volume"][row], due) and due.std() > 0
+        view, far = of.arrays["hidden_view"], batch["volume_bounds"][row, 1, 2]
+        half = torch.from_numpy(np.linalg.norm(view[1:], axis=1))
+        torch.testing.assert_close(batch["volume_bounds"][row, :, :2].double(), torch.stack([-half, half]))
+        # As deep as the hidden part reaches from the wall.
+        normal = np.cross(*view[1:]) / np.linalg.norm(np.cross(*view[1:]))
+        corners = np.stack(np.meshgrid(*of.arrays["hidden_bounds"].T), axis=-1).reshape(-1, 3)
+        assert batch["volume_bounds"][row, 0, 2] == 0
+        assert far == pytest.approx(float(((corners - view[0]) @ normal).max()), rel=1e-6)
 
 
 def test_noise_is_drawn_anew_and_parts_are_parts(dataset: Path) -> None:
