@@ -12,7 +12,7 @@ import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 import numpy as np
@@ -168,17 +168,21 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
             claimed = [row.seconds for row in own], [row.claimed for row in own]
             axes.plot(*claimed, color=color, ls=":", marker="_", ms=9, label=f"{name}: error claimed")
             for row in own:
+                asked = f"{row.value} paths a pair" if quantity == "samples" else f"{percent(float(row.value))} asked"
+                # Below the line that falls from left to right there is room at the left.
+                there: dict[str, Any] = {"xytext": (8, 5)}
+                if quantity == "samples":
+                    there = {"xytext": (-4, -14), "ha": "right"}
                 axes.annotate(
-                    row.value, (row.seconds, row.claimed), xytext=(6, 5), textcoords="offset points", fontsize=7,
-                    color=color,
-                )  # fmt: skip
+                    asked, (row.seconds, row.claimed), textcoords="offset points", fontsize=8, color=color, **there
+                )
         axes.set(xscale="log", yscale="log", xlabel="processor seconds a scene", ylabel="relative L2 error")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
             axis.set_minor_formatter(NullFormatter())
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.yaxis.set_major_formatter(lambda value, _: percent(value))
-        axes.margins(0.12)
+        axes.margins(0.15, 0.12)
         axes.legend(fontsize=8)
         return save_png(figure, path)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from datagen.records import Scene, TimeAxis
@@ -17,6 +18,11 @@ from datagen.units import path_from_time
 
 _DECADES = 5.0
 """Most powers of ten that an axis of light shows."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_LIGHTEST = 0.55
+_STRONGER = 4.0
+"""Weights of red, green and blue in luminance (ITU-R BT.709), the most luminance that a line has, and how much
+farther from grey a paler colour is drawn: walls, floor and ceiling differ by little."""
 
 
 def time_label(axis: TimeAxis) -> str:
@@ -40,7 +46,7 @@ def busy_window(curves: Floats, axis: TimeAxis, share: float = 0.9995) -> tuple[
 
 
 def draw_parts(axes: Axes, scene: Scene, parts: Mapping[str, Floats], time: TimeAxis) -> None:
-    """Draw each part's own (bin,) light on a logarithmic axis, the faintest in front, and the sum as a line."""
+    """Draw each part's own (bin,) light as a line on a logarithmic axis, the faintest in front, and the sum."""
     # A name that is no part is light that is not split by part.
     colors, edges = defaultdict(lambda: "#8FA3B5", part_colors(scene)), time.edges_s * 1e9
     parts = {name: curve for name, curve in parts.items() if curve.any()}
@@ -56,13 +62,23 @@ def draw_parts(axes: Axes, scene: Scene, parts: Mapping[str, Floats], time: Time
     # The peak of the faintest part is seen, too, if `_DECADES` reach down to it.
     lowest = highest * 10.0 ** -min(max(2.5, np.log10(highest / faintest) + 1.0), _DECADES)
     for name, curve in sorted(parts.items(), key=lambda of: -float(of[1].sum())):
-        axes.stairs(curve, edges, baseline=lowest, fill=True, color=colors[name], linewidth=0, label=name)
-    axes.stairs(total, edges, color=INK, linewidth=0.9, label="sum")
+        axes.stairs(curve, edges, baseline=None, color=line_color(colors[name]), linewidth=1.3, label=name)
+    axes.stairs(total, edges, baseline=None, color=INK, linewidth=0.9, label="sum")
     axes.set(yscale="log", ylim=(lowest, 2 * highest), xlim=busy_window(total, time))
     axes.spines["top"].set_visible(True)
     metre = path_from_time(1e-9)
     both = (lambda time_ns: np.asarray(time_ns) * metre, lambda path_m: np.asarray(path_m) / metre)
     axes.secondary_xaxis("top", functions=both).set_xlabel("path length (m)")
+
+
+def line_color(color: str) -> tuple[float, float, float]:
+    """The colour of an area as that of a line: a pale one is stronger and darker, to be seen on white."""
+    rgb = np.array(to_rgb(color))
+    luminance = float(rgb @ _LUMINANCE)
+    if luminance > _LIGHTEST:
+        rgb = np.clip(luminance + _STRONGER * (rgb - luminance), 0.0, 1.0) * _LIGHTEST / luminance
+    red, green, blue = (float(value) for value in rgb)
+    return red, green, blue
 
 
 def draw_counts(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from datagen.devices import Calibration, Comparison
 from datagen.records.arrays import Floats
-from datagen.report.style import EXPECTED, INK, check_png, new_figure, plain, save_png
+from datagen.report.style import EXPECTED, INK, check_png, house_style, new_figure, plain, save_png
 
 MARGIN_BINS = 12
 """Bins shown before and after what is bright, for its tails."""
@@ -41,39 +43,65 @@ def draw_calibration(found: Calibration, path: str | Path) -> None:
 def draw_comparison(found: Comparison, path: str | Path) -> None:
     """Write the picture as .png: the best, a median and the worst histogram; below, errors by zone and by what was
     fitted, and what would explain the rest. Raises `InputError` where it cannot be written."""
-    figure = new_figure(12, 7.5)
-    top, below = figure.subplots(2, 3)
+    with house_style():
+        figure = new_figure(8.0, 6.2)
+        top, below = figure.subplots(2, 3)
+        _draw_some(top, found)
+        _draw_zones(below[0], found)
+        _draw_steps(below[1], found)
+        below[2].barh(list(found.left), [100 * share for share in found.left.values()], color=EXPECTED)
+        below[2].invert_yaxis()
+        below[2].set(xlabel="share of what is left that\nit would explain (%)", xlim=(0, 100))
+        figure.suptitle(plain(f"{Path(found.source).name}, simulated as {Path(found.simulated_as).name}"))
+        save_png(figure, check_png(path))
+
+
+def _draw_some(panels: Sequence[Axes], found: Comparison) -> None:
+    """The best, a median and the worst histogram."""
     error = found.relative_l2
     order = np.argsort(error, axis=None)
     chosen = (("best", order[0]), ("median", order[len(order) // 2]), ("worst", order[-1]))
-    for axes, (name, place) in zip(top, chosen, strict=True):
+    for axes, (name, place) in zip(panels, chosen, strict=True):
         frame, zone = np.unravel_index(place, error.shape)
         measured = found.measured[frame, zone]
         _draw_histograms(axes, measured[None], found.modelled[frame, zone][None], "recorded", "simulated")
         bright = np.flatnonzero(measured > 0.02 * measured.max())
         axes.set_xlim(bright[0] - MARGIN_BINS, bright[-1] + MARGIN_BINS)
-        axes.set_title(f"{name}: frame {frame}, zone {zone}, {100 * error[frame, zone]:.1f} % off")
-    top[0].set_ylabel("counts")
-    top[0].legend()
-    zones = np.arange(error.shape[1])
-    below[0].plot(zones, 100 * error.T, ".", color=INK, ms=2, alpha=0.4)
-    below[0].plot(zones, 100 * np.median(error, axis=0), "_", color=EXPECTED, ms=14, mew=2.5, label="median")
-    below[0].set(xlabel="zone", ylabel="relative L2 of the histogram (%)", yscale="log")
-    below[0].legend()
+        axes.set_title(f"{name}: {100 * error[frame, zone]:.1f} % off\nframe {frame}, zone {zone}")
+        # Thousands as 50k: a peak has some 100 000 counts.
+        axes.yaxis.set_major_formatter(EngFormatter(sep=""))
+    panels[0].set_ylabel("counts")
+    panels[0].legend(loc="upper right", handlelength=1)
+
+
+def _draw_zones(axes: Axes, found: Comparison) -> None:
+    """Errors of all frames by zone."""
+    percent = 100 * found.relative_l2
+    zones = np.arange(percent.shape[1])
+    axes.plot(zones, percent.T, ".", color=INK, ms=2, alpha=0.4)
+    axes.plot([], [], ".", color=INK, ms=2, label="a frame")
+    axes.plot(zones, np.median(percent, axis=0), "_", color=EXPECTED, ms=10, mew=2.5, label="median")
+    axes.set(xlabel="zone", ylabel="relative L2 of the histogram (%)", yscale="log")
+    axes.xaxis.set_major_locator(MaxNLocator(9, integer=True))
+    # Few powers of ten: 1, 2, 5, 10 … say more than 10⁰ and 10¹.
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.margins(y=0.12)
+    axes.legend(loc="lower left", ncols=2, columnspacing=1)
+
+
+def _draw_steps(axes: Axes, found: Comparison) -> None:
+    """Errors by what was fitted."""
     names = list(found.steps)
     medians, tails = (100 * np.array([found.steps[name][k] for name in names]) for k in (0, 1))
     rows = np.arange(len(names))
-    below[1].barh(rows, medians, color=EXPECTED, label="median")
-    below[1].plot(tails, rows, "|", color=INK, ms=14, mew=2, label="90th percentile")
-    below[1].set_yticks(rows, names)
-    below[1].invert_yaxis()
-    below[1].set(xlabel="relative L2 after fitting this, too (%)")
-    below[1].legend()
-    below[2].barh(list(found.left), [100 * share for share in found.left.values()], color=EXPECTED)
-    below[2].invert_yaxis()
-    below[2].set(xlabel="share of what is left that it would explain (%)", xlim=(0, 100))
-    figure.suptitle(plain(f"{Path(found.source).name}, simulated as {Path(found.simulated_as).name}"))
-    save_png(figure, check_png(path))
+    axes.barh(rows, medians, color=EXPECTED, label="median")
+    axes.plot(tails, rows, "|", color=INK, ms=14, mew=2, label="90th percentile")
+    axes.set_yticks(rows, names)
+    axes.invert_yaxis()
+    axes.set(xlabel="relative L2 after\nfitting this, too (%)", xlim=(0, None))
+    axes.legend(loc="center right", markerscale=0.6)
 
 
 def _draw_histograms(axes: Axes, measured: Floats, modelled: Floats, *labels: str) -> None:

@@ -1,4 +1,5 @@
-"""An animation of a stored sequence in real time: what moves in the room, and what changes in the light meanwhile."""
+"""An animation of a stored sequence in real time: what moves in the room, what changes in the light meanwhile, and
+what backprojection makes of that."""
 
 from __future__ import annotations
 
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon
 from numpy.typing import NDArray
@@ -19,12 +20,13 @@ from PIL import Image
 from datagen.records import Scene
 from datagen.records.arrays import Floats
 from datagen.report.curves import busy_window, time_label
+from datagen.report.floor_plans import FloorPlans
 from datagen.report.replay import StoredScene
-from datagen.report.rooms import RoomPicture, draw_plan
+from datagen.report.rooms import RoomPicture, draw_plan, draw_walls
 from datagen.report.scans import Raster, reach
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of
 from datagen.report.strip import label_images, label_of
-from datagen.report.style import INK, LASER, captioned, part_colors, short
+from datagen.report.style import EXPECTED, INK, LASER, captioned, part_colors, short
 
 LEAST_HZ, MOST_HZ = 0.5, 50.0
 """Pictures a second: browsers slow down what is faster, and nobody waits for what is slower."""
@@ -44,8 +46,9 @@ Update = Callable[[int], None]
 
 
 def animation(stored: StoredScene, room: Scene | None) -> bytes | None:
-    """A GIF of a sequence that runs in real time, again and again: on the left the room from above, on the right by
-    how much the counts of the frame differ from the mean over all frames. The same dataset gives the same bytes.
+    """A GIF of a sequence that runs in real time, again and again: on the left the room from above, then by how much
+    the counts of the frame differ from the mean over all frames, and on the right the floor plan that backprojection
+    makes of this difference, where counts and their geometry are stored. The same dataset gives the same bytes.
 
     Sequences of more than `MOST_HZ` pictures a second, or fewer than `LEAST_HZ`, run at these; the caption says so.
     None of a scene that is measured once, and where neither histogram nor transient is stored. To be used within
@@ -64,19 +67,28 @@ def animation(stored: StoredScene, room: Scene | None) -> bytes | None:
     times_s = stored.arrays["laser_time"].mean(axis=1)
     window = scene_of_stored(stored.at_frame()) if room is None else None
     label = None if window is None else label_of(stored)
+    plans = None if room is None else FloorPlans.of(stored)
     text = (
         f"{measured} of this frame less the mean over all frames, summed over the rows of the scan. Red: more than "
-        f"on average, as where light of what moves arrives now; blue: less. {_pace(shown_hz / rate_hz)}."
+        "on average, as where light of what moves arrives now; blue: less."
     )
-    columns = 1 if room is None and label is None else 2
-    text = f"Right: {text}" if columns > 1 else text[0].upper() + text[1:]
-    figure, grid = captioned(_WIDTH_IN, [3.0, 0.5] if room is not None else [3.0], text, " ", columns)
-    updates = [draw_change(figure, figure.add_subplot(grid[0, columns - 1]), stored, measured)]
+    columns = 1 + (room is not None or label is not None) + (plans is not None)
+    text = f"{'Middle' if plans else 'Right'}: {text}" if columns > 1 else text[0].upper() + text[1:]
+    if plans is not None:
+        text += " Right: this difference backprojected, from above."
+    text += f" {_pace(shown_hz / rate_hz)}."
+    figure, grid = captioned(_WIDTH_IN, [2.9, 0.4] if room is not None else [3.0], text, " ")
+    # In a subfigure, so that room for a colour bar beside one panel is not left free beside all.
+    above = figure.add_subfigure(grid[0, 0])
+    panels = list(above.subplots(1, columns, squeeze=False, width_ratios=[1.2, 1, 1][:columns])[0])
+    updates = [draw_change(above, panels[min(columns - 1, 1)], stored, measured)]
     if room is not None:
-        updates.append(draw_movers(figure.add_subplot(grid[0, 0]), room, stored, times_s))
-        _draw_marks(figure.add_subplot(grid[1, :]), room)
+        updates.append(draw_movers(panels[0], room, stored, times_s))
+        _draw_marks(figure.add_subplot(grid[1, 0]), room, plans is not None)
     elif window is not None and label is not None:
-        updates.append(_draw_label(figure.add_subplot(grid[0, 0]), window, stored, label))
+        updates.append(_draw_label(panels[0], window, stored, label))
+    if room is not None and plans is not None:
+        updates.append(draw_plans(panels[2], room, plans, times_s))
     pictures = []
     for frame in chosen:
         figure.suptitle(f"{short(stored.title, 48)}: {times_s[frame]:.2f} s", fontweight="bold")
@@ -118,18 +130,11 @@ def draw_movers(axes: Axes, room: Scene, stored: StoredScene, times_s: Floats) -
     draw_plan(axes, RoomPicture(standing, laser_points=points, colors=colors))
     axes.set_title("The room from above")
     boxes = []
-    for name in moving:
-        path = room.paths[name]
-        # Along the part's own axes, so that the box turns with it.
-        own = path.at(0.0).undo(room.vertices[np.unique(room.triangles[room.faces_of(name)])])
-        (left, front, low), (right, back, _) = own.min(axis=0), own.max(axis=0)
-        corners = np.array([(left, front, low), (right, front, low), (right, back, low), (left, back, low)])
-        placed = path.at(times_s[:, None]).apply(corners)[..., :2]
+    for name, placed in footprints(room, times_s).items():
         axes.plot(*placed.mean(axis=1).T, color=INK, linewidth=0.9, linestyle=":", zorder=14)
         box = Polygon(placed[0], fc=colors[name], ec=INK, lw=1.4, zorder=13)
         axes.add_patch(box)
         boxes.append((box, placed))
-
     move_sensor = _draw_sensor(axes, stored) if drives else None
 
     def update(frame: int) -> None:
@@ -137,6 +142,45 @@ def draw_movers(axes: Axes, room: Scene, stored: StoredScene, times_s: Floats) -
             box.set_xy(placed[frame])
         if move_sensor is not None:
             move_sensor(frame)
+
+    return update
+
+
+def footprints(room: Scene, times_s: Floats) -> dict[str, Floats]:
+    """Part that moves → (frame, 4, 2) x and y of the corners of the box about it, which turns with it, metres."""
+    found = {}
+    for name in room.moving:
+        path = room.paths[name]
+        # Along the part's own axes, so that the box turns with it.
+        own = path.at(0.0).undo(room.vertices[np.unique(room.triangles[room.faces_of(name)])])
+        (left, front, low), (right, back, _) = own.min(axis=0), own.max(axis=0)
+        corners = np.array([(left, front, low), (right, front, low), (right, back, low), (left, back, low)])
+        found[name] = path.at(times_s[:, None]).apply(corners)[..., :2]
+    return found
+
+
+def draw_plans(axes: Axes, room: Scene, plans: FloorPlans, times_s: Floats) -> Update:
+    """Draw the floor plan of each frame, all with the same colours, in the room's own x and y; an outline about each
+    part that moves, and the relay wall."""
+    # What is less than on average, and noise, is left white.
+    most = max(float(np.quantile(plans.values, 1 - _CLIPPED / 10)), 1.0)
+    shown = axes.pcolormesh(*np.moveaxis(plans.corners, -1, 0), plans.values[0], cmap="Reds", vmin=1.0, vmax=most)
+    draw_walls(axes, room)
+    outlines = []
+    for placed in footprints(room, times_s).values():
+        outline = Polygon(placed[0], fc="none", ec=EXPECTED, lw=1.6, zorder=13)
+        axes.add_patch(outline)
+        outlines.append((outline, placed))
+    low, high = plans.corners.reshape(-1, 2).min(axis=0), plans.corners.reshape(-1, 2).max(axis=0)
+    margin = 0.04 * float((high - low).max())
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_title("Backprojection")
+
+    def update(frame: int) -> None:
+        shown.set_array(plans.values[frame])
+        for outline, placed in outlines:
+            outline.set_xy(placed[frame])
 
     return update
 
@@ -155,8 +199,8 @@ def _draw_sensor(axes: Axes, stored: StoredScene) -> Update:
     return update
 
 
-def _draw_marks(axes: Axes, room: Scene) -> None:
-    """A legend of the plan in axes of its own."""
+def _draw_marks(axes: Axes, room: Scene, outlined: bool) -> None:
+    """A legend of the plan in axes of its own. outlined : whether what moves is outlined in a floor plan, too."""
     colors, wall = part_colors(room), next((k for k, role in enumerate(room.roles) if role == "relay_wall"), None)
     handles: list[Patch | Line2D] = [
         Patch(fc=colors[name], ec=INK, label=f"{short(name, 20)}, dotted: its way") for name in room.moving[:_NAMED]
@@ -166,6 +210,8 @@ def _draw_marks(axes: Axes, room: Scene) -> None:
     if room.device_position is not None:
         handles.append(Line2D([], [], marker="D", linestyle="", color="black", label="laser and sensor"))
     handles.append(Line2D([], [], marker="o", markersize=4, linestyle="", color=LASER, label="laser points"))
+    if outlined:
+        handles.append(Patch(fc="none", ec=EXPECTED, lw=1.6, label="where it truly is"))
     axes.set_axis_off()
     axes.legend(handles=handles, loc="upper left", ncols=4, borderaxespad=0).set_in_layout(False)
 
@@ -179,7 +225,7 @@ def _draw_label(axes: Axes, window: Scene, stored: StoredScene, label: str) -> U
     return lambda frame: shown.set_data(images[frame].values)
 
 
-def draw_change(figure: Figure, axes: Axes, stored: StoredScene, measured: str) -> Update:
+def draw_change(figure: FigureBase, axes: Axes, stored: StoredScene, measured: str) -> Update:
     """Draw the difference from the mean over all frames: arrival time across, and down the places along
     the rows of the scan, summed over the rows; its points by number where they lie on no grid."""
     light = light_of_stored(stored.at_frame())

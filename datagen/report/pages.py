@@ -26,22 +26,25 @@ from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_
 from datagen.report.scans import Raster, draw_time_slice, scan_page
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
 from datagen.report.strip import strip_page
-from datagen.report.style import captioned, house_style, save_gif, save_png
+from datagen.report.style import captioned, house_style, save_gif, save_png, short
 from datagen.store.files import check_writable
 from datagen.store.summaries import OVER_M
 
-PAGES = ("overview", "histogram", "labels", "scan")
+PAGES = ("overview", "light", "histogram", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
+PAGE_IN = 8.0
+"""Width of the first two, inches: 880 pixels, so that letters can be read where pages of text are 830 wide."""
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
     """Draw scene `index` of a dataset as PNGs, of a sequence a GIF too, and return their paths, the overview first.
 
-    An overview with the room in plan and opened, light by part and counts; counts over their expectation; the labels;
-    and slices of the scan where it has several channels. For geometry and light by part, which a dataset does not
-    hold, the scene is simulated again from the stored configuration and seed; counts and labels are the stored ones.
-    Of a sequence these show the middle frame, another picture all frames, and an animation in real time (GIF) what
-    moves in the room and what changes in the counts.
+    An overview with the room in plan, the room opened and its depth; light by part and counts; counts over their
+    expectation; the labels; and slices of the scan where it has several channels. For geometry and light by part,
+    which a dataset does not hold, the scene is simulated again from the stored configuration and seed; counts and
+    labels are the stored ones. Of a sequence these show the middle frame, another picture all frames, and an
+    animation in real time (GIF) what moves in the room, what changes in the counts, and what backprojection makes of
+    that.
     Where a room cannot be drawn (scenes made in Python, imported captures, mesh files that are gone) only stored
     measurements and labels are drawn.
 
@@ -99,6 +102,7 @@ def pages(stored: StoredScene, replayed: Replay, names: Sequence[str] = PAGES) -
     labels = {name: made[name] for name in wanted}
     makers: dict[str, Callable[[], Figure | None]] = {
         "overview": lambda: _overview_page(stored, replayed, labels["depth"]),
+        "light": lambda: _light_page(stored, replayed),
         "histogram": lambda: _counts_page(stored, replayed),
         "labels": lambda: labels_page(stored, replayed.scene, labels, _labels_text(stored, replayed.scene, missing)),
         "scan": lambda: scan_page(stored.title, replayed.light, _provenance(replayed)),
@@ -138,42 +142,66 @@ def stored_pages(stored: StoredScene, why: str) -> Iterator[tuple[str, Figure]]:
 
 
 def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -> Figure:
-    """Room with its legend, time along the scan, light by part, counts, depth."""
+    """Room in plan and opened, depth, and a legend."""
     room = RoomPicture(replayed.scene, replayed.capture, replayed.transient.laser_points)
     text = (
-        f"{_scan_text(replayed.capture)}; ceiling and walls in the way are taken off (dashed edges), σ is an "
-        f"object's detectability in the data, and {_provenance(replayed)}."
+        f"{_scan_text(replayed.capture)}. Ceiling and walls in the way are taken off; σ is an object's detectability "
+        "in the data. Right: depth behind the window of the labels, along the arrow."
     )
-    # The legend has all parts and four marks.
-    legend_in = 0.2 * float(np.ceil((len(replayed.scene.part_names) + 4) / LEGEND_COLUMNS)) + 0.1
-    figure, grid = captioned(15, [4.9, legend_in, 4.3], text, f"{stored.title}: overview", 6)
-    raster = Raster.of(replayed.light)
-    several = replayed.light.total.shape[0] * replayed.light.total.shape[1] > 1
-    plan, opened = figure.add_subplot(grid[0, :2]), figure.add_subplot(grid[0, 2:4] if several else grid[0, 2:])
+    # The legend has all parts and up to six marks.
+    legend_in = 0.19 * float(np.ceil((len(replayed.scene.part_names) + 6) / LEGEND_COLUMNS)) + 0.1
+    figure, grid = captioned(PAGE_IN, [2.9, legend_in], text, f"{stored.title}: overview", 3)
+    plan, opened, behind = (figure.add_subplot(grid[0, k]) for k in range(3))
     draw_plan(plan, room)
-    plan.set_title("Plan, from above")
+    plan.set_title("From above")
     draw_opened(opened, room)
-    opened.set_title("Opened: ceiling and near walls off")
-    if several:
-        corner = figure.add_subfigure(grid[0, 4:])
-        draw_time_slice(corner, corner.add_subplot(), raster.scan_of(replayed.light.total), raster, replayed.light)
+    opened.set_title("Opened")
     found = {
         name: f", {sigma:.0f} σ" if sigma >= 10 else f", {sigma:.2g} σ"
         for name, sigma in stored.significance().items()
     }
     draw_legend(figure.add_subplot(grid[1, :]), room, found)
-    parts, counted, behind = (figure.add_subplot(grid[2, 2 * k : 2 * k + 2]) for k in range(3))
-    light = replayed.transient.parts or {"all light": replayed.transient.total}
-    sums = {name: values.sum(axis=(0, 1)) for name, values in light.items()}
-    draw_parts(parts, replayed.scene, sums, replayed.capture.time)
-    parts.set_title("Light by part, sum over the scan")
-    channel = replayed.light.channel
+    draw_label(figure, behind, replayed.scene, "depth", depth)
+    return figure
+
+
+def _light_page(stored: StoredScene, replayed: Replay) -> Figure:
+    """Time along the scan, light by part, and counts, with a legend of the curves."""
+    light = replayed.light
+    several = light.total.shape[0] * light.total.shape[1] > 1
+    parts = replayed.transient.parts or {"all light": replayed.transient.total}
+    sums = {name: values.sum(axis=(0, 1)) for name, values in parts.items()}
+    text = (
+        f"Light by part is summed over the scan, counts are those of {_light_text(light)}, where objects stand out; "
+        f"{_provenance(replayed)}."
+    )
+    legend_in = 0.19 * float(np.ceil((len(sums) + 3) / LEGEND_COLUMNS)) + 0.1
+    figure, grid = captioned(PAGE_IN, [3.2, legend_in], text, f"{stored.title}: light and counts")
+    # In a subfigure, so that room for a colour bar beside one panel is not left free beside all.
+    above = figure.add_subfigure(grid[0, 0])
+    *first, split, counted = above.subplots(1, 2 + several)
+    if first:
+        raster = Raster.of(light)
+        draw_time_slice(above, first[0], raster.scan_of(light.total), raster, light)
+    draw_parts(split, replayed.scene, sums, replayed.capture.time)
+    split.set_title("Light by part")
+    channel = light.channel
     counts, expected = replayed.counts[channel], replayed.expected[channel]
     draw_counts(counted, counts, expected, replayed.counted, mean=_mean_name(replayed))
-    counted.set_title(f"Counts, {_light_text(replayed.light)}")
-    draw_label(figure, behind, replayed.scene, "depth", depth)
-    # At the left of the column, which leaves space for the colour bar at the right.
-    behind.set_anchor("W")
+    counted.set_title("Counts")
+    for axes in (split, counted):
+        # In a panel as narrow as this one line would be wider than the axes.
+        axes.set_xlabel(axes.get_xlabel().replace(" since ", " since\n"))
+    if (own := counted.get_legend()) is not None:
+        own.remove()
+    handles, labels = (
+        [*one, *other]
+        for one, other in zip(*(of.get_legend_handles_labels() for of in (split, counted)), strict=True)
+    )
+    key = figure.add_subplot(grid[1, 0])
+    key.set_axis_off()
+    names = [short(label) for label in labels]
+    key.legend(handles, names, loc="upper left", ncols=LEGEND_COLUMNS, borderaxespad=0).set_in_layout(False)
     return figure
 
 

@@ -91,7 +91,7 @@ def _page(root: Path, dataset: Description, scenes: int) -> Iterator[str]:
         scene = stored.scene_of(scene_for(config, record.index)) if replayed is None else replayed.scene
         shown.append(scene_data(stored, scene, _error(record), replayed))
         if replayed is not None:
-            for name, figure in pages(stored, replayed, ["overview"]):
+            for name, figure in pages(stored, replayed, ["overview", "light"]):
                 pictures.append(inside(figure, f"scene {record.index}, {name}"))
     yield explorer(shown, dataset.made) if roomless is None else f"<p>There are no rooms to show: {roomless}.</p>"
     yield "<h2>Scenes in full</h2>"

@@ -25,7 +25,8 @@ from datagen.records.arrays import Bools, Floats, Ints
 from datagen.report.style import FIELD_OF_VIEW, INK, LASER, part_colors, short
 
 HIDDEN_VIEW = "#117733"
-LEGEND_COLUMNS = 8
+TAKEN_OFF = "#777777"
+LEGEND_COLUMNS = 4
 _ELEVATION_DEG = 42.0
 _AZIMUTHS_DEG = (-55.0, -30.0, 30.0, 55.0)
 _SURVEY_PIXELS = 160
@@ -238,9 +239,17 @@ class RoomPicture:
 
 def draw_plan(axes: Axes, room: RoomPicture) -> None:
     """Draw the room from above, x to the right and y up, ceiling off; walls are lines. Axes in metres."""
-    scene, camera = room.scene, Camera.from_above()
-    walls, _, others = room_faces(scene)
-    _show(axes, room, camera, others)
+    camera = Camera.from_above()
+    _show(axes, room, camera, room_faces(room.scene)[2])
+    draw_walls(axes, room.scene)
+    _mark(axes, room, camera)
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.margins(0.03)
+
+
+def draw_walls(axes: Axes, scene: Scene) -> None:
+    """Draw the walls of a plan as lines, the relay wall in its colour."""
+    camera, (walls, _, _) = Camera.from_above(), room_faces(scene)
     _lines(axes, camera, _sides(scene, walls), color="#555555", linewidth=1.6, zorder=3)
     for name, role in zip(scene.part_names, scene.roles, strict=True):
         if role == "relay_wall":
@@ -248,16 +257,13 @@ def draw_plan(axes: Axes, room: RoomPicture) -> None:
             # A flat wall is a broad line; a broad line would hide the profile of an uneven one.
             width = 4.5 if len(sides) < 60 else 0.8
             _lines(axes, camera, sides, color=part_colors(scene)[name], linewidth=width, zorder=4)
-    _mark(axes, room, camera)
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.margins(0.03)
 
 
 def draw_opened(axes: Axes, room: RoomPicture, arrows: bool = True) -> None:
     """Draw the room from before the relay wall, ceiling and walls in the way taken off."""
     camera, faces, outlines = room.opened
     left, _, bottom, _ = _show(axes, room, camera, faces)
-    _lines(axes, camera, outlines, color="#777777", linewidth=0.8, linestyle=(0, (4, 3)), zorder=5)
+    _lines(axes, camera, outlines, color=TAKEN_OFF, linewidth=0.8, linestyle=(0, (4, 3)), zorder=5)
     _mark(axes, room, camera)
     if arrows:
         _mark_axes(axes, camera, room.scene, left, bottom)
@@ -286,7 +292,8 @@ def draw_sight(axes: Axes, scene: Scene) -> None:
 
 
 def draw_legend(axes: Axes, room: RoomPicture, notes: Mapping[str, str] | None = None) -> None:
-    """A legend of the parts and marks of plan and opened room, filling `axes`; `notes` follow the names of parts."""
+    """A legend of the parts and marks of plan and opened room, filling `axes`, at most six marks beside the parts;
+    `notes` follow the names of parts."""
     scene, notes = room.scene, notes or {}
     handles: list[Patch | Line2D] = [
         Patch(fc=color, ec="#555555", lw=0.5, label=f"{short(name)}{notes.get(name, '')}")
@@ -296,10 +303,14 @@ def draw_legend(axes: Axes, room: RoomPicture, notes: Mapping[str, str] | None =
     handles += [Line2D([], [], marker=_marker(label), label=label, **dots) for label in room.devices]
     if room.laser_points is not None and np.isfinite(room.laser_points).all(axis=1).any():
         handles.append(Line2D([], [], marker="o", color=LASER, linestyle="", markersize=4, label="laser points"))
+        if any(label.startswith("laser") for label in room.devices):
+            handles.append(Line2D([], [], color=LASER, lw=0.9, label="way to the outermost"))
     if room.capture is not None:
         handles.append(Patch(fc="none", ec=FIELD_OF_VIEW, lw=1.2, label="field of view of the pixels"))
     if scene.hidden_view is not None:
         handles.append(Line2D([], [], color=HIDDEN_VIEW, lw=1.6, ls=(0, (5, 2)), label="window of the labels"))
+    if len(room.opened[2]):
+        handles.append(Line2D([], [], color=TAKEN_OFF, lw=0.9, ls=(0, (4, 3)), label="edges of what is taken off"))
     axes.set_axis_off()
     legend = axes.legend(handles=handles, loc="upper left", ncols=LEGEND_COLUMNS, borderaxespad=0, handlelength=1.6)
     legend.set_in_layout(False)
@@ -346,7 +357,7 @@ def _mark(axes: Axes, room: RoomPicture, camera: Camera) -> None:
     if room.laser_points is not None:
         points = room.laser_points[np.isfinite(room.laser_points).all(axis=1)]
         x, y, _ = camera.project(points).T
-        axes.scatter(x, y, s=float(np.clip(1500 / max(len(x), 1), 0.5, 9)), color=LASER, linewidths=0, zorder=9)
+        axes.scatter(x, y, s=float(np.clip(400 / max(len(x), 1), 0.4, 6)), color=LASER, linewidths=0, zorder=9)
     for label, position in room.devices.items():
         if len(points) and label.startswith("laser"):
             flat = camera.project(points)[:, :2]
@@ -373,5 +384,5 @@ def _mark_axes(axes: Axes, camera: Camera, scene: Scene, left: float, bottom: fl
         x, y = origin + 1.25 * arrow
         axes.text(x, y, name, ha="center", va="center", fontsize=8, color=INK)
     beside = origin[0] + max(1.4 * unit[:, 0].max(), 0.4 * length)
-    axes.text(beside, origin[1], f"{length:g} m each", fontsize=7.5, color=INK, va="center")
+    axes.text(beside, origin[1], f"{length:g} m each", fontsize=8, color=INK, va="center")
     axes.update_datalim([origin, *(origin + 1.3 * unit)])

@@ -122,11 +122,12 @@ def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
 def draw_time_slice(
     figure: FigureBase, axes: Axes, scan: Floats, raster: Raster, light: Light, what: str = ""
 ) -> None:
-    """The row of a (row, column, bin) scan that objects reach most: place across, time down, brightness by powers."""
+    """The row of a (row, column, bin) scan that objects reach most, counted from the top: place across, time down,
+    brightness by powers."""
     row = int(np.argmax(raster.scan_of(light.clear).sum(axis=(1, 2))))
     edges = light.time.edges_s * 1e9
     across = reach(np.arange(scan.shape[1], dtype=np.float64) if raster.x_m is None else raster.x_m)
-    named = f"row {row + 1} from the top" if raster.x_m is not None else f"{raster.what}s"
+    named = f"row {row + 1}" if raster.x_m is not None else f"{raster.what}s"
     axes.set_title(f"Time along {named}" + (f", {what}" if what else ""))
     axes.set(xlabel="right (m)" if raster.x_m is not None else f"number of the {raster.what}")
     low, high = busy_window(light.total.reshape(-1, light.time.bins), light.time, 0.98)

@@ -24,6 +24,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -134,23 +135,29 @@ def report(case: Case, turns: Sequence[Turn]) -> str:
 
 
 def picture(
-    title: str, norm: int, target: float, lines: Mapping[str, Sequence[tuple[float, float]]], path: Path
-) -> Path:
-    """Error against processor seconds, a line for each contender."""
+    title: str, norm: int, target: float, lines: Mapping[str, Sequence[tuple[float, float]]],
+    efforts: Mapping[str, Sequence[str]], path: Path,
+) -> Path:  # fmt: skip
+    """Error against processor seconds, a line for each contender, and at each of its points what was asked of it."""
     with house_style():
         figure = new_figure(8.0, 4.4)
         axes = figure.subplots()
-        for (name, line), (color, marker) in zip(lines.items(), LOOKS, strict=False):
-            axes.plot(*zip(*line, strict=True), color=color, marker=marker, ms=7, lw=1.8)
-            axes.annotate(name, line[0], xytext=(8, 6), textcoords="offset points", color=color, weight="bold")
-        axes.axhline(target, color="#BBBBBB", lw=0.8, zorder=0)
+        for k, ((name, line), (color, marker)) in enumerate(zip(lines.items(), LOOKS, strict=False)):
+            # Lines of two that lie side by side have their words on either side.
+            beside: dict[str, Any] = {"xytext": (8, 4)} if k < 2 else {"xytext": (-8, -12), "ha": "right"}
+            axes.plot(*zip(*line, strict=True), color=color, marker=marker, ms=7, lw=1.8, label=name)
+            for effort, point in zip(efforts[name], line, strict=True):
+                axes.annotate(effort, point, textcoords="offset points", color=color, fontsize=8, **beside)
+        axes.axhline(target, color="#BBBBBB", lw=0.8, zorder=0, label=f"{percent(target)}, where times are compared")
+        axes.legend(loc="lower left")
         axes.set(xscale="log", yscale="log", xlabel="processor seconds a scan", ylabel=f"relative L{norm} error")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
             axis.set_minor_formatter(NullFormatter())
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s")
         axes.yaxis.set_major_formatter(lambda value, _: percent(value))
-        axes.margins(0.12, 0.15)
+        # Room for words beside the last point, and for the legend below.
+        axes.margins(0.2, 0.25)
         axes.set_title(title, fontsize=10, color=INK)
         return save_png(figure, path)
 
@@ -178,7 +185,8 @@ def main(out: Path, repeats: int, only: str, dear: bool) -> None:
         pages.append(report(case, turns))
         click.echo(pages[-1])
         file = out / f"peers_{'_'.join(re.findall('[a-z0-9]+', name))}.png"
-        picture(case.title, case.norm, case.target, lines_of(case, turns), file)
+        efforts = {one.name: [one.effort(samples) for samples in one.samples] for one in case.contenders}
+        picture(case.title, case.norm, case.target, lines_of(case, turns), efforts, file)
     (out / "peers.md").write_text("\n".join(pages), encoding="utf-8")
     click.echo(f"{out / 'peers.md'}, a picture of each case beside it")
 

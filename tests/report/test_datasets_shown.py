@@ -178,7 +178,7 @@ def test_preview_is_one_well_formed_page_that_needs_nothing(dataset: Path) -> No
     assert all(field in page.words for field in ("histogram", "transient", "depth", "laser_points"))
     assert "pillar.albedo" in page.words and "layout.height_m" in page.words
     # Overview of the scene, and what was drawn.
-    assert len(page.sources) == 2
+    assert len(page.sources) == 3
     assert "σ in the median of" in page.words
     assert all(source.startswith("data:image/png;base64,") for source in page.sources)
 

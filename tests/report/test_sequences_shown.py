@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +18,12 @@ import datagen as dg
 from datagen.config import config_from_mapping
 from datagen.design.scene_for import scene_for
 from datagen.labels import ViewFrame
+from datagen.report.floor_plans import FloorPlans
 from datagen.report.moving import draw_change, draw_movers, durations_ms
 from datagen.report.pages import frames_animation, frames_page, show
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene, replay
+from datagen.report.stored import time_of_stored
 from datagen.report.style import house_style, new_figure
 from tests.sequences.rooms_that_move import box, capture, room
 
@@ -129,6 +132,31 @@ def test_the_right_side_is_the_change_of_the_counts(walks: Path) -> None:
     cells, start = made[0].shape[1], round(image.get_extent()[0] / 0.8)
     assert cells > 8
     np.testing.assert_allclose(made, change[:, :, start : start + cells])
+
+
+def test_floor_plans_show_where_light_came_from(walks: Path) -> None:
+    """Counts at the times at which light from one place arrives: the plan of each frame is largest at that place."""
+    stored = read_scene(walks, 0)
+    view, far = stored.arrays["hidden_view"], 0.8
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-0.9, 0.9, 8)]), axis=-1).reshape(-1, 2)
+    points = view[0] + grid @ view[1:]
+    normal = np.cross(*view[1:]) / np.linalg.norm(np.cross(*view[1:]))
+    places = view[0] + np.linspace(-0.8, 0.6, 5)[:, None] * view[1] + far * np.linspace(0.5, 2, 5)[:, None] * normal
+    time, counts = time_of_stored(stored, "histogram"), np.zeros((5, 64, 1, 64))
+    assert time.origin == "wall"
+    for frame, place in enumerate(places):
+        way = 2 * np.linalg.norm(points - place, axis=1)
+        counts[frame, range(64), 0, ((way / 299_792_458 - time.start_s) / time.width_s).astype(int)] = 100
+    made_up = {"histogram": counts, "laser_points": points, "sensor_points": points}
+    plans = FloorPlans.of(replace(stored, arrays={**stored.arrays, **made_up}))
+    assert plans is not None and plans.values.shape[0] == 5
+    middles = (plans.corners[:-1, :-1] + plans.corners[1:, 1:]) / 2
+    for values, place in zip(plans.values, places, strict=True):
+        found = middles[np.unravel_index(values.argmax(), values.shape)]
+        # A bin is 0.12 m of distance.
+        assert np.linalg.norm(found - place[:2]) < 0.3
+    assert FloorPlans.of(replace(stored, arrays={**stored.arrays, "hidden_bounds": np.full((2, 3), np.nan)})) is None
+    assert FloorPlans.of(replace(stored, frames=None)) is None
 
 
 def test_durations_add_up_to_real_time() -> None:

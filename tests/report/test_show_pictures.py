@@ -140,7 +140,7 @@ def test_words_name_points_parts_marks_and_the_classes_of_stored_boxes(usual: tu
 def test_each_part_has_its_own_light_and_the_line_is_the_sum(
     ordinary: dict[str, Figure], usual: tuple[StoredScene, Replay]
 ) -> None:
-    axes = next(of for of in ordinary["overview"].axes if of.get_title(loc="left").startswith("Light by part"))
+    axes = next(of for of in ordinary["light"].axes if of.get_title(loc="left").startswith("Light by part"))
     steps = {of.get_label(): of.get_data().values for of in axes.patches if isinstance(of, StepPatch)}
     light = usual[1].transient
     for name, curve in (light.parts | {"sum": light.total}).items():
@@ -187,8 +187,9 @@ def test_noise_below_zero_is_drawn_as_no_light(usual: tuple[StoredScene, Replay]
 
 @pytest.mark.parametrize(
     ("case", "wanted"),
-    [("one bin", ["overview", "histogram"]), ("one laser point", ["overview"]), ("many pixels", ["overview"]),
-     ("two lasers", ["scan"]), ("no light", ["overview", "histogram"]), ("bare wall", ["overview", "labels"]),
+    [("one bin", ["light", "histogram"]), ("one laser point", ["overview", "light"]),
+     ("many pixels", ["overview", "light"]), ("two lasers", ["scan"]), ("no light", ["light", "histogram"]),
+     ("bare wall", ["overview", "labels"]),
      ("missed wall", ["overview"])],
 )  # fmt: skip
 def test_corner_cases_are_drawn(case: str, wanted: list[str]) -> None:
@@ -209,4 +210,4 @@ def test_corner_cases_are_drawn(case: str, wanted: list[str]) -> None:
     figures = drawn(stored, again, [*wanted, "scan"] if case == "one laser point" else wanted, laid_out=False)
     assert set(figures) == set(wanted)
     if case == "many pixels":
-        assert "1 laser point, 1600 pixels;" in words(figures["overview"])
+        assert "1 laser point, 1600 pixels." in words(figures["overview"])
