@@ -185,13 +185,14 @@ def _toward(a, b):  # type: ignore[no-untyped-def]
     return (s * span[0], s * span[1], s * span[2]), r
 
 
-@compiled()
+# What takes a record of arrays is inlined here and below: a call would count a reference to each of them.
+@compiled(forceinline=True)
 def _vertex(setup, face, position, normal, back, power, density, path):  # type: ignore[no-untyped-def]
     part = setup.part[face]
     return Vertex(face, part, setup.scene.kind[part], position, normal, back, power, density, path)
 
 
-@compiled()
+@compiled(forceinline=True)
 def _row(setup, x, i):  # type: ignore[no-untyped-def]
     """Row i of vertices x."""
     position, normal, back = get(x.position, i, 0), get(x.normal, i, 0), get(x.back, i, 0)
@@ -213,7 +214,7 @@ def _write_path(found, k, sample, part, path, photons):  # type: ignore[no-untyp
     found.sample[k], found.part[k], found.path[k], found.photons[k] = sample, part, path, photons
 
 
-@compiled()
+@compiled(forceinline=True)
 def _write_ray(scene, rays, k, of, goal, p, n, direction):  # type: ignore[no-untyped-def]
     """Write a ray that leaves the point p of a surface with normal n to row k."""
     rays.of[k], rays.goal[k] = of, goal
@@ -221,7 +222,7 @@ def _write_ray(scene, rays, k, of, goal, p, n, direction):  # type: ignore[no-un
     put(rays.direction, k, 0, direction)
 
 
-@compiled()
+@compiled(forceinline=True)
 def _write_shadow_ray(scene, rays, k, p, n, q, m):  # type: ignore[no-untyped-def]
     """Write a ray between points p and q of surfaces with normals n and m to row k."""
     a, b = lifted_and_scaled(p, n, scene.offset, scene.frame), lifted_and_scaled(q, m, scene.offset, scene.frame)
@@ -257,7 +258,7 @@ def _meeting_point(setup, face, origin, direction):  # type: ignore[no-untyped-d
     return _along(origin, reach, w), n, 0.0 < reach < np.inf
 
 
-@compiled()
+@compiled(forceinline=True)
 def _aperture(setup, r):  # type: ignore[no-untyped-def]
     """Area of the aperture seen from a distance, m²: of a small one, or of a finite disc."""
     return setup.aperture_area * r * r / (r * r + setup.aperture_square)
