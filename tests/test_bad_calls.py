@@ -26,6 +26,7 @@ from datagen.config import config_from_mapping
 from datagen.devices.zone_order import ORDERS, zones_listed
 from datagen.scoring.predictions import read_predictions
 from datagen.store import read_manifest
+from datagen.transport.brdf import MODELS
 
 CONFIG = Path(__file__).parents[1] / "configs" / "quickstart.yaml"
 EYE = (2.0, -1.0, 1.0)
@@ -226,7 +227,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 Call = tuple[Callable[..., object], dict[str, Any]]
-MATERIALS = ("GGX", "Lambertian", "Material", "MeasuredByAngle", "OrenNayar", "Phong", "Retroreflector", "SinLobe")
+MATERIALS = ("Material", *(model.record.__name__ for model in MODELS))
 POINTS = {"center": (0, 0, 1), "right": (0, 0.1, 0), "up": (0, 0, 0.1)}
 WITH: dict[str, Callable[[Made], Call]] = {
     "Accuracy": lambda m: (dg.Accuracy, {}),

@@ -16,9 +16,8 @@ from datagen.transport.brdf.table import model_of
 def albedo(material: Material, cos_in: ArrayLike, azimuth_rad: ArrayLike = math.pi / 2) -> Floats:
     """Directional-hemispherical reflectance ∫ f cosθ_out dω_out of a material, dimensionless.
 
-    Closed forms for Lambertian, OrenNayar (the albedo itself, at every incidence), SinLobe and MeasuredByAngle; for
-    Phong and Retroreflector a closed form in azimuth and quadrature in angle from the lobe's axis; for GGX quadrature
-    over visible facets. Quadrature is exact to about 10⁻⁵.
+    A closed form where the kind of BRDF has one, else quadrature, exact to about 10⁻⁵: `share` in the file of the
+    kind says which.
 
     Parameters
     ----------
