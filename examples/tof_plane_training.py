@@ -34,7 +34,7 @@ from datagen.devices import Device, Frames, calibrate
 from datagen.devices.agreement import peak_positions
 from datagen.devices.frames import fitted_and_tested
 from datagen.report.style import captioned, house_style, save_png
-from datagen.transport.flood import at_sensor
+from datagen.transport.flood import light_at_sensor
 
 SWEEP = "tmf8820_plane.json.gz"
 RANGE_M = (0.1, 0.4)
@@ -127,7 +127,7 @@ def counts_of(device: Device, glass: Array, albedo: Array, light: Array) -> Arra
     """(albedo, zones, device's bins) expected counts before a plane whose light in the bare device, with albedo 1, is
     `light` (zones, bins)."""
     capture = device.at((0, 0, 0), (1, 0, 0))[0]
-    mixed = np.maximum(glass, 0.0) + albedo[:, None, None] * at_sensor(light[None], capture)
+    mixed = np.maximum(glass, 0.0) + albedo[:, None, None] * light_at_sensor(light[None], capture)
     return dg.expected_histogram(mixed, device.axis, device.spad, device.exposure).astype(np.float32)
 
 

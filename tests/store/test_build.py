@@ -156,9 +156,9 @@ def test_a_scene_that_kills_its_workers_is_given_up(tmp_path: Path, workers: int
 
 def test_workers_begin_with_their_modules_imported_and_one_thread() -> None:
     code = (
-        "from datagen.building.engines import start_imports, started\n"
+        "from datagen.building.engines import start_imports, running_engine\n"
         "start_imports('colorsys')\n"
-        "with started('local', 2, None) as running:\n"
+        "with running_engine('local', 2, None) as running:\n"
         '    asked = \'("colorsys" in __import__("sys").modules, __import__("os").environ["OMP_NUM_THREADS"])\'\n'
         "    assert [running.submit(eval, asked).result() for _ in range(2)] == [(True, '1')] * 2\n"
     )
