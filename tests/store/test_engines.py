@@ -83,7 +83,9 @@ def test_an_error_of_a_job_names_the_line_of_the_worker() -> None:
 def test_a_temporary_folder_with_a_long_path_is_refused_with_the_remedy(tmp_path: Path) -> None:
     folder = tmp_path / ("long" * 30)
     folder.mkdir()
-    code = "from datagen.building.engines import running_engine as of\nwith of('local', 1, None) as e: e.submit(abs, 1)"
+    code = (
+        "from datagen.building.engines import running_engine as of\nwith of('local', 1, None) as e: e.submit(abs, 1)"
+    )
     env = os.environ | {"TMPDIR": str(folder), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
     assert f"InputError: TMPDIR: workers cannot be started, since their socket lies in {folder}" in done.stderr
