@@ -39,7 +39,7 @@ _CLIPPED = 0.01
 """Share of the cells of all frames that lie beyond the scale of colours, which would else be that of the few first
 bins in which the wall's own light is strongest."""
 _NAMED = 3
-"""Movers that the legend has room for."""
+"""Objects that the legend has room for, those that move first."""
 
 Update = Callable[[int], None]
 """Changes a picture to the frame of a given number."""
@@ -205,6 +205,8 @@ def _draw_marks(axes: Axes, room: Scene, outlined: bool) -> None:
     handles: list[Patch | Line2D] = [
         Patch(fc=colors[name], ec=INK, label=f"{short(name, 20)}, dotted: its way") for name in room.moving[:_NAMED]
     ]
+    standing = [name for name in room.objects if name not in room.moving]
+    handles += [Patch(fc=colors[name], label=short(name, 20)) for name in standing[: max(_NAMED - len(handles), 0)]]
     if wall is not None:
         handles.append(Line2D([], [], linewidth=4.5, color=colors[room.part_names[wall]], label="relay wall"))
     if room.device_position is not None:
