@@ -532,7 +532,7 @@ def test_what_is_legal_and_absurd_is_warned_of(what: str) -> None:
 
 
 def test_a_keyword_that_was_renamed_is_read() -> None:
-    with pytest.warns(DeprecationWarning, match="now called columns") as caught:
+    with pytest.warns(FutureWarning, match="now called columns") as caught:
         former = dg.Sensor.grid(EYE, (0, 0.2, 1), (0, 0.1, 0), (0, 0, 0.1), rows=1, cols=2)
     assert np.array_equal(former.pixels, SENSOR.pixels) and caught[0].filename == __file__
 

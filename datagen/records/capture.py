@@ -258,7 +258,7 @@ class Sensor:
         [3.  0.3 1.2]
         """
         if cols is not None:
-            warn("Sensor.grid: cols is now called columns", DeprecationWarning, stacklevel=2)
+            warn("Sensor.grid: cols is now called columns", FutureWarning, stacklevel=2)
             columns = cols
         return cls(position, _lattice("Sensor.grid", center, right, up, rows, columns), aperture_radius_m)
 

@@ -132,7 +132,7 @@ class Transient:
 
 def _warn_of_bound() -> None:
     what = "Transient.error_bound is an estimate and no bound; its name is claimed_error"
-    warnings.warn(what, DeprecationWarning, stacklevel=3)
+    warnings.warn(what, FutureWarning, stacklevel=3)
 
 
 def _with_former_name(init: Callable[..., None]) -> Callable[..., None]:

@@ -75,8 +75,8 @@ def test_a_claimed_error_is_an_estimate_by_name() -> None:
     given: dict[str, Any] = {"time": time, "components": {"primary": light}, "parts": {}, "stderr": 0 * light}
     given |= {"overflow": np.zeros((1, 1)), "laser_points": np.zeros((1, 3))}
     assert dg.Transient(**given).claimed_error is None
-    with pytest.warns(DeprecationWarning, match="its name is claimed_error"):
+    with pytest.warns(FutureWarning, match="its name is claimed_error"):
         made = dg.Transient(**given, error_bound=0.25)
     assert made.claimed_error == made.relative_error == dg.Transient(**given, claimed_error=0.25).claimed_error
-    with pytest.warns(DeprecationWarning, match="its name is claimed_error"):
+    with pytest.warns(FutureWarning, match="its name is claimed_error"):
         assert made.error_bound == 0.25
