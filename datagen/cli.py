@@ -319,7 +319,7 @@ def show(dataset: str, index: int, out: str | None) -> None:
     for picture in draw(dataset, index, out):
         say(as_line(str(picture)))
     # On standard error, so that standard output has paths alone.
-    then = f"next: datagen preview {shlex.quote(dataset)}; README (Train on it) trains a network on such a dataset"
+    then = f"next: datagen preview {shlex.quote(dataset)}; README (Train on it; Track somebody) trains networks"
     say(as_line(then), err=True)
 
 

@@ -30,8 +30,10 @@ def run(source: Path, out: Path) -> float:
     quiet = {"OPEN3D_DISABLE_WEB_VISUALIZER": "true"}  # or open3d prints lines about a viewer that nobody asked for
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(
-            notebook, timeout=LONGEST_CELL_S, kernel_name="python3", resources={"metadata": {"path": folder}}
-        )
+            notebook, timeout=LONGEST_CELL_S, kernel_name="python3", resources={"metadata": {"path": folder}},
+            # Or each kernel warns that it talks to this process without encryption, which stays on this machine.
+            extra_arguments=["--log-level=ERROR"],
+        )  # fmt: skip
         client.execute(env=os.environ | quiet | {"PATH": path})
     out.parent.mkdir(parents=True, exist_ok=True)
     nbformat.write(notebook, out)

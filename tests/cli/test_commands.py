@@ -70,8 +70,9 @@ def test_build_and_show_say_what_to_do_next(
     assert run(["show", "a set", "0"]) == 0
     said = capsys.readouterr()
     assert said.out == "overview.png\n"
-    assert said.err.splitlines()[-1].startswith("next: datagen preview 'a set'; README (Train on it)")
-    assert "\n## Train on it\n" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert said.err.splitlines()[-1].startswith("next: datagen preview 'a set'; README (Train on it; Track somebody)")
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert "\n## Train on it\n" in readme and "\n## Track somebody" in readme
 
 
 def test_pages_and_pictures_are_drawn(built: Path, capsys: pytest.CaptureFixture[str]) -> None:
