@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from datagen.config.base import Settings
+from datagen.config.base import Settings, without_unset
 from datagen.config.distributions import Distribution, Fraction, Length, Uniform, within
 from datagen.config.imported import ImportedFile, ImportOptions
 from datagen.config.scene_relay import RelayWall
@@ -181,6 +181,10 @@ class IsolatedWall(Layout):
         if self.place == "in_front" and "relay_distance_m" not in self.model_fields_set:
             # A default that follows from another key. The frozen model may still change, since nobody has it yet.
             object.__setattr__(self, "relay_distance_m", NEAR_THE_WALL)
+
+    @model_serializer(mode="wrap")
+    def _plain(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return without_unset(self, plain, "space_back_m")
 
     @property
     def _keys_of_the_other(self) -> tuple[str, ...]:
