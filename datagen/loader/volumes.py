@@ -14,7 +14,7 @@ from datagen.errors import InputError, shown
 from datagen.labels.frame import ViewFrame
 from datagen.labels.volumes import VoxelGrid
 from datagen.loader.crops import Crops
-from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
+from datagen.reconstruction.backprojection import GEOMETRY, volumes_of_frames
 from datagen.records import Rectangle
 from datagen.store import Manifest
 
@@ -62,8 +62,7 @@ class Volumes:
 
         Raises `InputError` for a scene that does not say where its hidden part is.
         """
-        frames = counts.shape[1:-3]
-        volumes = np.empty((len(counts), *frames, *self.shape), np.float32)
+        volumes = np.empty((*counts.shape[:-3], *self.shape), np.float32)
         bounds_m = np.empty((len(counts), 2, 3), np.float32)
         for row, histograms in enumerate(counts):
             where = {name: values[row].astype(np.float64) for name, values in geometry.items()}
@@ -77,8 +76,7 @@ class Volumes:
             bounds_m[row] = grid.low, grid.high
             # With the mean over the frames taken off, what stands is gone, and the signal is whitened by that mean.
             mean = histograms.mean(axis=0) if self._minus == "mean" else None
-            for frame in np.ndindex(frames):
-                there = where | {name: where[name][frame] for name in self._framed}
-                scan = scan_of(histograms[frame], there, self._capture, self._time, mean)
-                volumes[(row, *frame)] = backprojected_volume(scan, grid)
+            made = volumes_of_frames(histograms, where, self._framed, self._capture, self._time, grid, mean)
+            for out, volume in zip(volumes[row].reshape(-1, *self.shape), made, strict=True):
+                out[:] = volume
         return volumes, bounds_m

@@ -12,7 +12,7 @@ Communications 3, 745 (2012)).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,6 +128,21 @@ def backprojected_volume(scan: Scan, grid: VoxelGrid) -> Floats:
     has a standard deviation of about 1."""
     total = backprojected(scan, grid.centers.reshape(-1, 3)).reshape(grid.shape)
     return np.asarray(total / np.sqrt(max(len(scan.signal), 1)))
+
+
+def volumes_of_frames(
+    counts: NDArray[np.generic], geometry: Mapping[str, Floats], framed: Container[str], capture: Mapping[str, Any],
+    time: TimeAxis, grid: VoxelGrid, mean: Floats | None = None,
+) -> Iterator[Floats]:  # fmt: skip
+    """`backprojected_volume` of each frame of a sequence, one after the other, or of the one scan of a scene; the
+    other parameters are those of `scan_of`.
+
+    counts : (frame, laser, pixel, bin) of a sequence, (laser, pixel, bin) of a scene. framed : names of the fields of
+    `geometry` that have the axis of frames, too.
+    """
+    for frame in np.ndindex(counts.shape[:-3]):
+        there = {name: of[frame] if name in framed else of for name, of in geometry.items()}
+        yield backprojected_volume(scan_of(counts[frame], there, capture, time, mean), grid)
 
 
 def reconstructed(scan: Scan, grid: VoxelGrid) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from datagen.labels import ViewFrame
 from datagen.labels.volumes import VoxelGrid
-from datagen.reconstruction.backprojection import GEOMETRY, backprojected_volume, scan_of
+from datagen.reconstruction.backprojection import GEOMETRY, volumes_of_frames
 from datagen.records import Rectangle
 from datagen.records.arrays import Floats
 from datagen.report.replay import StoredScene
@@ -45,11 +45,8 @@ class FloorPlans:
         capture = stored.config.capture.model_dump(mode="json")
         frame = ViewFrame.about(Rectangle(*where["hidden_view"]))
         grid, mean = VoxelGrid.behind_images(frame, where["hidden_bounds"], VOXELS), counts.mean(axis=0)
-        plans = []
-        for number, of_frame in enumerate(counts):
-            there = {name: of[number] if name in stored.framed else of for name, of in where.items()}
-            volume = backprojected_volume(scan_of(of_frame, there, capture, time, mean), grid)
-            plans.append(volume.mean(axis=1) * math.sqrt(VOXELS[1]))
+        volumes = volumes_of_frames(counts, where, stored.framed, capture, time, grid, mean)
+        plans = [volume.mean(axis=1) * math.sqrt(VOXELS[1]) for volume in volumes]
         depth, right = (np.linspace(grid.low[k], grid.high[k], n + 1) for k, n in ((2, VOXELS[0]), (0, VOXELS[2])))
         across, along = np.meshgrid(right, depth)
         corners = frame.to_world(np.stack([across, np.zeros_like(across), along], axis=-1))
