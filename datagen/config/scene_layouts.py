@@ -40,8 +40,9 @@ class Layout(Settings):
     """Keys that are no dimensions of the plan."""
 
     def dimensions(self) -> dict[str, Distribution]:
-        """The dimensions to draw, in their declared order."""
-        return {name: getattr(self, name) for name in type(self).model_fields if name not in self.choices}
+        """The dimensions to draw, in their declared order, without those that are left out."""
+        drawn = {name: getattr(self, name) for name in type(self).model_fields if name not in self.choices}
+        return {name: value for name, value in drawn.items() if value is not None}
 
     @property
     def plan(self) -> str:
@@ -197,8 +198,7 @@ class IsolatedWall(Layout):
 
     def dimensions(self) -> dict[str, Distribution]:
         """As for every layout, those of its place."""
-        every = super().dimensions()
-        return {name: of for name, of in every.items() if of is not None and name not in self._keys_of_the_other}
+        return {name: value for name, value in super().dimensions().items() if name not in self._keys_of_the_other}
 
 
 class NoLayout(Layout):
