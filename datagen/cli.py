@@ -128,8 +128,8 @@ def compare(
 
     if simulated is not None:
         given = {"--device": name, "--mesh": paths, "--out": out, "--materials": materials, "--fixed": fixed}
-        for option in (option for option, value in given.items() if value):
-            raise InputError(f"{option}: is not for two datasets; leave it out, or {simulated}")
+        if options := [option for option, value in given.items() if value]:
+            raise InputError(f"{options[0]}: is not for two datasets; leave it out, or {simulated}")
         context.invoke(compare_datasets, recorded=captures, simulated=simulated, as_json=as_json, picture=picture)
         say("`datagen compare REAL SIMULATED` is now `datagen compare-datasets REAL SIMULATED`", err=True)
         return

@@ -85,7 +85,7 @@ class Session:
         assert frames.poses is not None
         return replace(self, counts=frames.histograms, poses=frames.poses)
 
-    def placed(self, state: State, pose: Floats) -> Floats:
+    def aperture_pose(self, state: State, pose: Floats) -> Floats:
         """(4, 4) pose of the aperture before the mesh as its file has it, of a stated pose (4, 4)."""
         hand = np.eye(4)
         hand[:3, :3], hand[:3, 3] = Rotation.from_rotvec(state.hand[:3]).as_matrix(), state.hand[3:]
@@ -98,7 +98,7 @@ class Session:
     def light(self, state: State, pose: Floats, rays: int) -> Floats:
         """(pieces + 1, zones, steps) light of each piece with the number 1, as the zones record it, and of the
         glass."""
-        capture, _, _ = state.device.at_pose(self.placed(state, pose))
+        capture, _, _ = state.device.at_pose(self.aperture_pose(state, pose))
         light = state.pieces.light(self.scene, capture, self.caster, self.materials, rays)
         return np.concatenate([light, glass_light(capture)])
 
@@ -125,7 +125,7 @@ class Session:
                 errors[name] = float(np.median(turned.errors(state, events)))
         return errors
 
-    def balanced(self, state: State, given: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats]:
+    def least_squares(self, state: State, given: Floats | None = None) -> tuple[Floats, Floats, Floats, Floats]:
         """The linear fit: numbers (pieces + 1,) of the pieces and the floor; the modelled events (n, zones, bins);
         the design (rows, pieces + 1) and the residuals (rows,) of the fit, those of the frames first.
 
@@ -148,7 +148,7 @@ class Session:
     def linear(self, state: State) -> Linear:
         """The linear fit with all rays; standard errors are by frames."""
         events = self.events(state, RAYS)
-        found, modelled, design, residual = self.balanced(state, events)
+        found, modelled, design, residual = self.least_squares(state, events)
         covariance = clustered_covariance(design, residual[: modelled.size], len(self.counts))
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         seen = np.array([piece.any() for piece in events[:-1]])
@@ -158,7 +158,7 @@ class Session:
 
     def residuals(self, state: State, given: Floats | None = None) -> Floats:
         """(n, zones, bins) modelled minus measured counts, relative to each histogram's norm."""
-        _, modelled, _, _ = self.balanced(state, given)
+        _, modelled, _, _ = self.least_squares(state, given)
         model = saturated(modelled, state.device.counting.cycles, blind_periods(state.device))
         return np.asarray((model - self.counts) / np.linalg.norm(self.counts, axis=2, keepdims=True))
 
@@ -193,12 +193,12 @@ class Session:
         step = np.array([unknown.step for unknown in unknowns]) / unit
         steps = itertools.count(1)
 
-        def moved(x: Floats) -> State:
+        def state_at(x: Floats) -> State:
             return state_with(state, groups, begin + x * unit)
 
         def residuals(x: Floats) -> Floats:
             prior = np.array([unknown.prior for unknown in unknowns])
-            return np.append(self.residuals(moved(x)).ravel(), PRIOR_WEIGHT * ((begin - prior) / unit + x))
+            return np.append(self.residuals(state_at(x)).ravel(), PRIOR_WEIGHT * ((begin - prior) / unit + x))
 
         def jacobian(x: Floats) -> Floats:
             what = f"{', '.join(groups)} fitted to {len(self.counts)} frames"
@@ -219,4 +219,4 @@ class Session:
             unknown.name: Fitted(float(value * unknown.shown), float(error * unknown.shown))
             for unknown, value, error in zip(unknowns, values, errors, strict=True)
         }
-        return moved(found.x), numbers
+        return state_at(found.x), numbers

@@ -95,22 +95,22 @@ def _or(kind: int, own: Callable[..., R], others: Callable[..., R]) -> Callable[
     """A function for compiled code: `own` for the kind of that number, `others` for every other kind."""
 
     @compiled(forceinline=True)
-    def chosen(asked: int, *arguments: Any) -> R:
+    def of_kind(asked: int, *arguments: Any) -> R:
         return own(*arguments) if asked == kind else others(asked, *arguments)
 
-    return chosen
+    return of_kind
 
 
 def _or_error(kind: int, own: Callable[..., R]) -> Callable[..., R]:
     """A function for compiled code: `own` for the kind of that number, and an error for every other kind."""
 
     @compiled(forceinline=True)
-    def chosen(asked: int, *arguments: Any) -> R:
+    def of_kind(asked: int, *arguments: Any) -> R:
         if asked == kind:
             return own(*arguments)
         raise ValueError(UNKNOWN)
 
-    return chosen
+    return of_kind
 
 
 def _by_kind(name: str) -> Callable[..., Any]:
@@ -119,10 +119,10 @@ def _by_kind(name: str) -> Callable[..., Any]:
     (last, own), *others = [
         (kind, getattr(model.physics, name)) for kind, model in reversed([*enumerate(MODELS)]) if kind != LAMBERTIAN
     ]
-    chosen = _or_error(last, own)
+    function = _or_error(last, own)
     for kind, own in others:
-        chosen = _or(kind, own, chosen)
-    return chosen
+        function = _or(kind, own, function)
+    return function
 
 
 _evaluate: Callable[..., float] = _by_kind("evaluate")
