@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import runpy
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from datasets import write_dataset
+from example_runs import run_example
 from PIL import Image
 
 import datagen as dg
@@ -109,14 +109,7 @@ def test_the_example_prints_scores_and_draws(
     config = find_suite("denali-1").config
     coarse = config.model_copy(update={"transport": config.transport.model_copy(update={"samples": 2}), "scenes": 20})
     suite = write_dataset(coarse, tmp_path / "suite.zarr")
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    arguments = ["--dataset", str(suite), "--matt", str(suite), "--epochs", "1", "--seeds", "2"]
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path / "picture.png"), *arguments])
-    threads = torch.get_num_threads()
-    try:
-        runpy.run_path(str(SCRIPT))["main"]()
-    finally:
-        torch.set_num_threads(threads)
+    run_example(SCRIPT, tmp_path / "picture.png", "--dataset", suite, "--matt", suite, "--epochs", 1, "--seeds", 2)
     lines = capsys.readouterr().out.splitlines()
     rows = {cells[1].strip(): [cell.strip() for cell in cells[2:-1]] for x in lines if len(cells := x.split("|")) > 5}
     data = dg.TransientDataset(suite, ("object_box_center",), split="train")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
+from example_runs import run_example, small_quickstart
 
 import datagen
-from datagen.config import config_from_mapping
-from datagen.config.yaml_text import parse_yaml
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "examples" / "depth_training.py"
@@ -22,20 +18,10 @@ SCRIPT = ROOT / "examples" / "depth_training.py"
 def test_the_example_learns_and_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    values = parse_yaml((ROOT / "configs/quickstart.yaml").read_text(encoding="utf-8"), "quickstart")
-    values["capture"]["scan"] |= {"rows": 8, "columns": 8}
-    values["transport"] = {"samples": 64}
-    small = config_from_mapping(values)
+    small = small_quickstart()
     monkeypatch.setattr(datagen, "load_config", lambda path: small)
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    arguments = ["--scenes", "20", "--epochs", "10", "--workers", "1", "--dataset", str(tmp_path / "set")]
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), str(tmp_path / "picture.png"), *arguments])
-    threads = torch.get_num_threads()
-    try:
-        made = runpy.run_path(str(SCRIPT))
-        made["main"]()
-    finally:
-        torch.set_num_threads(threads)
+    arguments = ("--scenes", 20, "--epochs", 10, "--workers", 1, "--dataset", tmp_path / "set")
+    run_example(SCRIPT, tmp_path / "picture.png", *arguments)
     *epochs, by_heart, always, mean, by_one, by_four = capsys.readouterr().out.splitlines()
     errors = [float(line.split()[2]) for line in epochs]
     assert len(errors) == 10 and all(0.1 < error < 3 for error in errors)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import runpy
 import sys
 from dataclasses import replace
 from functools import partial
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from example_runs import run_example
 from made_sequences import FRAMES, made_sequences
 from made_suite import made_suite
 from PIL import Image
@@ -160,14 +160,7 @@ def test_the_example_prints_scores_and_draws(
     suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its figures are those of `datagen score`."""
-    monkeypatch.syspath_prepend(str(SCRIPT.parent))
-    arguments = [str(tmp_path / "picture.png"), "--dataset", str(suite), "--epochs", "2"]
-    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *arguments])
-    threads = torch.get_num_threads()
-    try:
-        runpy.run_path(str(SCRIPT))["main"]()
-    finally:
-        torch.set_num_threads(threads)
+    run_example(SCRIPT, tmp_path / "picture.png", "--dataset", suite, "--epochs", 2)
     lines = capsys.readouterr().out.splitlines()
     rows = {cells[1].strip(): cells[2:5] for line in lines if len(cells := line.split("|")) > 5}
     for name, method in (("always the mean", "mean"), ("Kalman filter", "tracking")):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import zarr
 from made_suite import COLUMNS, ROWS, VOXELS, made_suite
+from refused_predictions import assert_predictions_are_refused
 
 import datagen as dg
 from datagen.cli import run
@@ -177,12 +178,7 @@ def test_wrong_predictions_are_refused_in_a_line(
     if change.get("scene") == "short":
         change = {name: np.asarray(of)[:3] for name, of in right.items()}
     values = {name: np.asarray(of) for name, of in (right | change).items() if of is not None}
-    np.savez(tmp_path / "p.npz", **values)
-    assert run(["score", str(suite), str(tmp_path / "p.npz")]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and f"datagen: {tmp_path}/p.npz" in err and piece in err, err
-    with pytest.raises(dg.InputError, match=r"^predictions: "):
-        dg.score(suite, values)
+    assert_predictions_are_refused(suite, values, tmp_path, piece, capsys)
 
 
 def test_wrong_types_are_refused(suite: Path) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_sequences import FRAMES, made_sequences
+from refused_predictions import assert_predictions_are_refused
 
 import datagen as dg
 from datagen.cli import run
@@ -158,10 +159,8 @@ def test_wrong_predictions_are_refused_in_a_line(
     suite: Path, right: dict[str, Any], change: dict[str, Any], piece: str, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    np.savez(tmp_path / "p.npz", **{name: of for name, of in (right | change).items() if of is not None})
-    assert run(["score", str(suite), str(tmp_path / "p.npz")]) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and f"datagen: {tmp_path}/p.npz" in err and piece in err, err
+    values = {name: np.asarray(of) for name, of in (right | change).items() if of is not None}
+    assert_predictions_are_refused(suite, values, tmp_path, piece, capsys)
 
 
 def test_a_dataset_without_labels_or_walkers_is_refused(tmp_path: Path, suite: Path) -> None:
