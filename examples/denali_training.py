@@ -404,7 +404,7 @@ def draw(results: Results, test: Plates, out: Path) -> None:
     )
     with house_style():
         title = "Where is the plate? One frame of a simulated TMF8828 around the corner"
-        figure, grid = captioned(8, [3.1, 2.9], text, title, 2, [1, 1.25])
+        figure, grid = captioned([3.1, 2.9], text, title, 2, [1, 1.25])
         _draw_bench(figure.add_subplot(grid[0, 0]), test)
         _draw_places(figure.add_subplot(grid[0, 1]), results.network[0], test)
         _draw_by_sigma(figure.add_subplot(grid[1, 0]), results, test)
@@ -479,7 +479,7 @@ def _draw_effects(panel: Axes, results: Results, test: Plates) -> None:
     panel.set_yticks(range(len(names)), names)
     panel.set(xlabel="distance, RMS (cm)", xlim=(0, None), ylim=(-0.6, len(names) + 1.6))
     panel.set_title("left out of the simulation", loc="center", fontsize=9)
-    panel.legend(loc="upper left", fontsize=7.5)
+    panel.legend(loc="upper left")
 
 
 def main() -> None:

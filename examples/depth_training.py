@@ -129,7 +129,7 @@ def draw(found: Learnt, out: Path) -> None:
         f"{rms(shifted(found.truth, 1) - found.truth):.2f} m."
     )
     with house_style():
-        figure, grid = captioned(8, [2.8], text, "Depth of hidden rooms", 2, [1, 1.7])
+        figure, grid = captioned([2.8], text, "Depth of hidden rooms", 2, [1, 1.7])
         axes = figure.add_subplot(grid[0, 0])
         axes.axhline(found.blind, color="#9A9A9A", label="mean depth image")
         axes.plot(range(1, len(found.errors) + 1), found.errors, color="#0072B2", label="network")

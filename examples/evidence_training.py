@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 from torch.utils.data import DataLoader
 
@@ -195,15 +196,13 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
     """Error against significance, and for a few scenes predictions beside truth and evidence."""
     sigma = kept.sigma.double().numpy()
     text = (
-        "Left: root mean square error of depth on the pixels of the box, in scenes of the split test, by the "
-        "significance of the box (bars: between seeds). Right: five of these scenes, from no evidence to much; "
+        "Above: root mean square error of depth on the pixels of the box, in scenes of the split test, by the "
+        "significance of the box (bars: between seeds). Below: five of these scenes, from no evidence to much; "
         "truth, two networks (shown where the box is; they were trained there alone), and the expected detections "
         "from each pixel (sides that the view does not see are not in it)."
     )
     with house_style():
-        figure, grid = captioned(
-            12, [5.2], text, "Depth of a hidden box, learnt with and without its evidence", 2, [1, 1.5]
-        )
+        figure, grid = captioned([2.6, 4.4], text, "Depth of a hidden box, learnt with and without its evidence")
         axes = figure.add_subplot(grid[0, 0])
         for recipe, square in found.items():
             mean, off = by_class(square, sigma)
@@ -211,30 +210,37 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
         names = ["< 1", "1 to 3", "3 to 10", "10 to 30", "> 30"]
         axes.set_xticks(range(len(names)), names)
         axes.set(xlabel="significance of the box (σ)", ylabel="error of depth (mm)", ylim=(0, None))
-        axes.legend(loc="lower left")
-        right = figure.add_subfigure(grid[0, 1])
-        chosen = [int(np.abs(np.log(sigma.clip(1e-3) / level)).argmin()) for level in SHOWN]
-        first, second = list(RECIPES)[:2]
-        rows = {"truth": kept.depth.numpy(), first: pictures[first], second: pictures[second]}
-        most = float(kept.depth.max())
-        for column, scene in enumerate(chosen):
-            box = kept.box[scene].numpy() > 0
-            for line, (name, images) in enumerate(rows.items()):
-                panel = right.add_subplot(4, len(chosen), line * len(chosen) + column + 1)
-                panel.imshow(np.where(box, images[scene], np.nan), cmap="viridis_r", vmin=0, vmax=most)
-                framed(panel)
-                if line == 0:
-                    panel.set_title(f"{_short(sigma[scene])} σ")
-                if column == 0:
-                    panel.set_ylabel(name.replace(" by ", "\nby ").replace("every ", "every\n"), fontsize=8)
-            panel = right.add_subplot(4, len(chosen), 3 * len(chosen) + column + 1)
-            light = kept.evidence[scene].numpy()
-            panel.imshow(np.log10(np.where(box, light, np.nan).clip(1e-2)), cmap="magma", vmin=-2, vmax=2)
-            framed(panel)
-            panel.set(xlabel=f"{_short(light.sum())} detections")
-            if column == 0:
-                panel.set_ylabel("evidence\n(0.01 … 100)", fontsize=8)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        _draw_scenes(figure.add_subfigure(grid[1, 0]), pictures, kept, sigma)
         save_png(figure, out)
+
+
+def _draw_scenes(below: SubFigure, pictures: Mapping[str, Array], kept: Scenes, sigma: Array) -> None:
+    """Truth, predictions and evidence of a few scenes, a column a scene."""
+    chosen = [int(np.abs(np.log(sigma.clip(1e-3) / level)).argmin()) for level in SHOWN]
+    first, second = list(RECIPES)[:2]
+    lines = {
+        "truth": kept.depth.numpy(),
+        "every\nbox alike": pictures[first],
+        "weighted by\nσ²/(9 + σ²)": pictures[second],
+        "evidence": np.log10(kept.evidence.numpy().clip(1e-2)),
+    }
+    depths = {"cmap": "viridis_r", "vmin": 0, "vmax": float(kept.depth.max())}
+    panels = below.subplots(len(lines), len(chosen))
+    for row, (name, images) in zip(panels, lines.items(), strict=True):
+        style = {"cmap": "magma", "vmin": -2, "vmax": 2} if name == "evidence" else depths
+        for panel, scene in zip(row, chosen, strict=True):
+            shown = panel.imshow(np.where(kept.box[scene].numpy() > 0, images[scene], np.nan), **style)
+            framed(panel)
+        row[0].set_ylabel(name)
+        if name == "evidence":
+            scale = below.colorbar(shown, ax=list(row), label="detections")
+            scale.set_ticks([-2, 0, 2], labels=["0.01", "1", "100"])
+    below.colorbar(panels[0, 0].images[0], ax=panels[:-1].ravel().tolist(), label="depth (m)")
+    for panel, scene in zip(panels[0], chosen, strict=True):
+        panel.set_title(f"{_short(sigma[scene])} σ", loc="center")
+    for panel, scene in zip(panels[-1], chosen, strict=True):
+        panel.set_xlabel(f"in all {_short(float(kept.evidence[scene].sum()))}")
 
 
 def _short(value: float) -> str:

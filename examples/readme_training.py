@@ -145,7 +145,7 @@ def draw(found: Learnt, out: Path) -> None:
         f"{len(each)} rooms kept back."
     )
     with house_style():
-        figure, grid = captioned(8, [2.1, 2.4], text, "Where do pillar and box stand? README's example", 3)
+        figure, grid = captioned([2.1, 2.4], text, "Where do pillar and box stand? README's example", 3)
         _draw_rooms(figure, grid[0, :], found, chosen, each)
         by_epoch, by_share, by_sigma = (figure.add_subplot(grid[1, k]) for k in range(3))
         for k, color in enumerate(COLORS):

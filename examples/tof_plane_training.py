@@ -372,29 +372,32 @@ def tables(found: Found) -> str:
 def draw(found: Found, out: Path) -> None:
     """Errors over distance, and what each effect costs."""
     text = (
-        "Left: error of the distance to a real plane, at distances that calibrated nothing; the network saw "
-        "simulated frames alone. Right: median error over these distances of networks that learnt from "
-        "simulations without one effect; each point is a training with another seed."
+        "Above: error of the distance to a real plane, at distances that calibrated nothing; the network saw "
+        "simulated frames alone. Below: median error over these distances of networks that learnt from simulations "
+        "without one effect of the sensor."
     )
     with house_style():
-        title = (
-            "Distance of a plane from nine histograms of a TMF8820: trained on simulated frames, tested on real ones"
-        )
-        figure, grid = captioned(12, [4.6], text, title, 2, [1.15, 1])
+        title = "Distance of a plane to a real TMF8820, by a network that saw simulated frames alone"
+        figure, grid = captioned([2.9, 2.9], text, title)
         axes = figure.add_subplot(grid[0, 0])
         shown = {**found.answers, "network": found.networks[WHOLE][0, :, 0]}
         for (name, of), color in zip(shown.items(), ("#9A9A9A", "#222222", "#0072B2", "#D55E00"), strict=True):
-            axes.plot(found.truth, (1e3 * np.abs(of - found.truth)).clip(0.01), ".-", lw=0.8, color=color, label=name)
-        axes.set(xlabel="true distance (m)", ylabel="|error| (mm)", yscale="log", ylim=(0.01, 200))
-        axes.legend(loc="upper right", fontsize=8)
-        axes = figure.add_subplot(grid[0, 1])
+            axes.plot(found.truth, (1e3 * np.abs(of - found.truth)).clip(0.01), ".", color=color, label=name)
+        axes.set(xlabel="true distance (m)", ylabel="|error| (mm)", yscale="log", ylim=(0.008, 30))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), labelspacing=1)
+        axes = figure.add_subplot(grid[1, 0])
         names = list(LEFT_OUT)[::-1]
-        axes.axvline(found.median_mm(WHOLE).mean(), color="#9A9A9A", lw=0.8)
+        mean = {"color": "#9A9A9A", "lw": 0.8, "label": "mean with all effects"}
+        axes.axvline(found.median_mm(WHOLE).mean(), **mean)
         for row, name in enumerate(names):
             each = found.median_mm(name)
-            axes.plot(each, np.full(len(each), row), "o", color="#D55E00" if name == WHOLE else "#0072B2", alpha=0.7)
+            color, what = ("#D55E00", "with all effects") if name == WHOLE else ("#0072B2", "without one")
+            label = f"a training {what}" if name in (names[0], WHOLE) else None
+            axes.plot(each, np.full(len(each), row), "o", color=color, alpha=0.7, label=label)
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="median |error| (mm)", xscale="log", title="left out of the simulation")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), labelspacing=1)
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())

@@ -116,7 +116,7 @@ def draw(path: Path, found: Mapping[str, Array], test: Walks, out: Path) -> None
         "the change from one frame to the next stands out of the noise."
     )
     with house_style():
-        figure, grid = captioned(8, [2.6, 2.5], text, "Somebody walks behind the corner", 2)
+        figure, grid = captioned([2.6, 2.5], text, "Somebody walks behind the corner", 2)
         _draw_rooms(figure, grid[0, :], path, found, test, chosen, each)
         _draw_by_time(figure.add_subplot(grid[1, 0]), errors, test.step_s)
         _draw_by_sigma(figure.add_subplot(grid[1, 1]), errors, test.sigma)

@@ -7,9 +7,12 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from here_and_now import one_worker_here
+from legible import too_small
+from matplotlib.figure import Figure
 
 # Test processes are the parallelism, as workers are in a build; read when numpy is loaded, which is later.
 for _library in ("OMP", "OPENBLAS", "MKL"):
@@ -69,6 +72,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """The collector need not look again and again at what the libraries brought and stays."""
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def letters_can_be_read() -> Iterator[None]:
+    """Of each picture that any test saves, whichever command or example draws it."""
+    save = Figure.savefig
+
+    def saved(figure: Figure, *given: Any, **named: Any) -> None:
+        small = too_small(figure)
+        assert not small, f"letters too small for a page: {small[:5]}"
+        save(figure, *given, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", saved)
+        yield
 
 
 @pytest.fixture(scope="module")

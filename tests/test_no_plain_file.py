@@ -260,7 +260,7 @@ def test_what_is_written_takes_the_place_of_it(tmp_path: Path, make: Callable[[P
     small_dataset(root)
     for name, write in (
         ("page.html", lambda path: preview(root, path, 0)),
-        ("picture.png", lambda path: save_png(new_figure(1, 1), path)),
+        ("picture.png", lambda path: save_png(new_figure(1), path)),
         ("room.glb", lambda path: dg.write_glb(dg.Scene.from_parts([ball]), path)),
         ("mine.yaml", lambda path: dg.write_device(dg.device("tmf8820"), path)),
     ):  # fmt: skip

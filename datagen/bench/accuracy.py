@@ -153,7 +153,7 @@ def table(rows: Sequence[Row]) -> str:
 def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
     """Error against seconds: claimed and found, by target and by plain paths."""
     with house_style():
-        figure = new_figure(8.0, 5.2)
+        figure = new_figure(5.2)
         axes = figure.subplots()
         axes.set_title(title, fontsize=10, color=INK)
         if not rows:

@@ -21,7 +21,7 @@ from datagen.report.rooms import RoomPicture, draw_opened, normals_of
 from datagen.report.style import FIELD_OF_VIEW, captioned, house_style
 
 UNIT_M = 1e-3
-_PANEL_IN = 3.4
+_PANEL_IN = 2.2
 _DECADES, _MOST_DECADES, _MARGIN_BELOW = 3.0, 12.0, 100.0
 """Decades of points' colours; most decades of an axis of envelopes; factor between its end and the lowest peak."""
 _MOST_POINTS = 60_000
@@ -63,12 +63,12 @@ def light_figure(runs: Runs) -> Figure:
         "out: surfaces that the light grazes darken."
     )
     with house_style():
-        figure, grid = captioned(13.0, [_PANEL_IN] * 2, text, columns=3)
+        figure, grid = captioned([_PANEL_IN] * 2, text, columns=3)
         backdrop = _backdrop(runs)
         for k, (estimator, what, values) in enumerate(panels):
             axes = figure.add_subplot(grid[divmod(k, 3)])
             _paint(figure, axes, backdrop, position, seen.face[met], np.where(lit, values, 0), k % 3 == 1)
-            axes.set_title(f"{estimator}: {what}")
+            axes.set_title(f"{estimator}:\n{what}")
     return figure
 
 
@@ -96,17 +96,18 @@ def lookins_figure(runs: Runs) -> Figure:
         "the wall and on the pillar, the nearest to the laser point that light up the field of view."
     )
     with house_style():
-        figure, grid = captioned(13.0, [_PANEL_IN] * (2 * len(shown)), text, columns=3)
+        figure, grid = captioned([_PANEL_IN] * (2 * len(shown)), text, columns=3)
         backdrop = _backdrop(runs)
         for number, (where, lookin, points, in_view) in enumerate(shown):
             for k, (estimator, what, values) in enumerate(points.panels):
                 axes = figure.add_subplot(grid[2 * number + k // 3, k % 3])
                 if k % 3 == 2:
                     _close_up(figure, axes, runs, points.position[in_view], values)
-                    axes.set_title(f"{estimator}: {what}")
+                    axes.set_title(f"{estimator}:\n{what}")
                     continue
                 _paint(figure, axes, backdrop, points.position, points.face, values, k % 3 == 0, lookin)
-                axes.set_title(f"({'ab'[number]}) {estimator}: {what}" + (f"; {where}" * (k % 3 == 0)))
+                first = f"({'ab'[number]}) {where}\n{estimator}: {what}"
+                axes.set_title(first if k % 3 == 0 else f"{estimator}:\n{what}")
     return figure
 
 
@@ -219,7 +220,7 @@ def envelope_figure(runs: Runs, scheme: Scheme, number: str) -> Figure:
     )
     pixels, window = runs.sizes.pixels, curve_window(runs.converged.curves)
     with house_style():
-        figure, grid = captioned(12.0, [4.6, 4.6], text, columns=2)
+        figure, grid = captioned([3.2, 3.2], text, columns=2)
         for row, estimator in enumerate(("as printed", "radiometric")):
             cases = {rays: runs.cases[estimator, rays, scheme] for rays in runs.sizes.rays}  # type: ignore[index]
             peaks = [curve.max() for case in cases.values() for curve in _curves(case).values() if curve.any()] or [1]

@@ -18,17 +18,19 @@ from datagen.records import Scene
 from datagen.records.checks import as_given
 from datagen.report.labels import DRAWN, draw_boxes, draw_label
 from datagen.report.rooms import RoomPicture, draw_opened, draw_plan, draw_sight
-from datagen.report.style import INK, captioned, check_png, house_style, plain, save_png, short
+from datagen.report.style import INK, SMALLEST_PT, captioned, check_png, house_style, plain, save_png, short
 from datagen.scene import check_scene_config
 
 MOST_ROOMS = 400
 MOST_LABELLED = 16
-_ROOMS_ACROSS = 8
-_ROOM_IN = (1.3, 1.8, 1.95)
-"""Width of a plan and of an opened room, and height of both, inches."""
-_PANELS_ACROSS = 5
-_PANEL_IN = (3.35, 2.5)
-_NAME_LETTERS = 52
+_ROOMS_ACROSS = 3
+_PLAN, _OPENED = 1.1, 1.5
+"""Widths of a plan and of an opened room, one beside the other."""
+_ROOM_IN = 1.8
+_PANELS_ACROSS = 3
+_PANEL_IN = 1.9
+"""Height of a room and of a label, inches."""
+_NAME_LETTERS = 38
 
 
 def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], rooms: int, out: str | Path) -> Path:
@@ -47,14 +49,13 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], rooms: int, 
         "sensor (diamond), relay wall (light blue), window of the labels (green) and objects (bright)."
     )
     columns = min(_ROOMS_ACROSS, int(np.ceil(np.sqrt(rooms))))
-    plan_in, opened_in, high = _ROOM_IN
     scenes = first_scenes(several, rooms)
     with house_style():
         figure, grid = captioned(
-            columns * (plan_in + opened_in), [high] * -(-rooms // columns), text, f"{rooms} rooms of {of}",
-            2 * columns, [plan_in, opened_in] * columns, arranged=False,
+            [_ROOM_IN] * -(-rooms // columns), text, f"{rooms} rooms of {of}", 2 * columns,
+            [_PLAN, _OPENED] * columns, arranged=False,
         )  # fmt: skip
-        figure.subplots_adjust(0.01, right=0.99, wspace=0.08, hspace=0.3)
+        figure.subplots_adjust(0.01, right=0.99, wspace=0.08, hspace=0.35)
         for number, (config, index) in enumerate(scenes):
             row, column = divmod(number, columns)
             room = RoomPicture(scene_for(config, index), pixels=300)
@@ -70,7 +71,7 @@ def contact_sheet(configs: DatasetConfig | Sequence[DatasetConfig], rooms: int, 
             for axes in (plan, opened):
                 axes.set_aspect("equal", adjustable="datalim")
             name = _name_of(room.scene, config.name if len(several) > 1 else "", index)
-            plan.set_title(plain(name), fontsize=6.5, fontweight="normal", linespacing=1.25)
+            plan.set_title(plain(name), fontsize=SMALLEST_PT, fontweight="normal", linespacing=1.25)
         return save_png(figure, picture)
 
 
@@ -87,7 +88,6 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], labels: int, o
     several = [configs] if isinstance(configs, DatasetConfig) else list(configs)
     # Parts come last, where there is room for their names.
     fields = sorted((name for name in LABEL_MAKERS if name in DRAWN), key=lambda field: field == "part_id")
-    wide, high = _PANEL_IN
     lines = -(-(3 + len(fields)) // _PANELS_ACROSS)
     text = (
         "One room after the other; labels are seen through the dashed green window along its arrow, right and up as "
@@ -96,11 +96,10 @@ def label_sheet(configs: DatasetConfig | Sequence[DatasetConfig], labels: int, o
     scenes = first_scenes(several, labels)
     with house_style():
         figure, grid = captioned(
-            wide * _PANELS_ACROSS, [high] * (lines * labels), text, f"Rooms and their labels: {labels}",
-            _PANELS_ACROSS, arranged=False,
+            [_PANEL_IN] * (lines * labels), text, f"Rooms and their labels: {labels}", _PANELS_ACROSS, arranged=False
         )  # fmt: skip
         # Space for colour bars, and for the names of parts at the right.
-        figure.subplots_adjust(0.03, right=0.93, wspace=0.5, hspace=0.45)
+        figure.subplots_adjust(0.07, right=0.91, wspace=0.6, hspace=0.5)
         for number, (config, index) in enumerate(scenes):
             cells = [divmod(k, _PANELS_ACROSS) for k in range(3 + len(fields))]
             plan, opened, objects, *images = (figure.add_subplot(grid[number * lines + r, c]) for r, c in cells)

@@ -11,7 +11,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, MaxNLocator, NullFormatt
 
 from datagen.devices import Calibration, Comparison
 from datagen.records.arrays import Floats
-from datagen.report.style import EXPECTED, INK, check_png, house_style, new_figure, plain, save_png
+from datagen.report.style import EXPECTED, INK, captioned, check_png, house_style, new_figure, plain, save_png
 
 MARGIN_BINS = 12
 """Bins shown before and after what is bright, for its tails."""
@@ -20,31 +20,41 @@ MARGIN_BINS = 12
 def draw_calibration(found: Calibration, path: str | Path) -> None:
     """Write the picture as .png: top, each zone's histogram in the nearest, middle and farthest tested frame; below,
     errors of brightness, peak and histogram over distance. Raises `InputError` where it cannot be written."""
-    figure = new_figure(12, 8)
-    rows = figure.subplots(2, 3)
     order = np.argsort(found.tested_m)
-    for axes, frame in zip(rows[0], order[[0, len(order) // 2, -1]], strict=True):
-        _draw_histograms(axes, found.measured[frame] + 1, found.modelled[frame] + 1, "counted", "fitted")
-        axes.set(yscale="log", title=f"{found.tested_m[frame]:.3f} m, all zones")
-    rows[0][0].set_ylabel("counts + 1")
-    rows[0][0].legend()
-    shown = (
-        (100 * found.brightness_error, "brightness, fitted − counted (%)"),
-        (found.peak_shift, "peak, fitted − counted (bins)"),
-        (100 * found.relative_l2, "relative L2 of the histogram (%)"),
+    text = (
+        f"{found.tested}. Above: the nearest, a middle and the farthest of them, all zones, a dot a bin. Below: how "
+        "far the calibrated device is off in brightness and in the place of the peak (fitted less counted), and in "
+        "the whole histogram, over the distance of the plane."
     )
-    for axes, (values, label) in zip(rows[1], shown, strict=True):
-        axes.plot(found.tested_m, values, ".", ms=4)
-        axes.set(xlabel="distance of the plane (m)", ylabel=label)
-    figure.suptitle(f"{plain(found.device.name)}: the tested frames, a colour a zone below")
-    save_png(figure, check_png(path))
+    with house_style():
+        title = f"{found.device.name}, calibrated: frames of a plane as counted and as fitted"
+        figure, grid = captioned([2.7, 2.7], text, title, 3)
+        top, below = ([figure.add_subplot(grid[row, column]) for column in range(3)] for row in range(2))
+        for axes, frame in zip(top, order[[0, len(order) // 2, -1]], strict=True):
+            _draw_histograms(axes, found.measured[frame] + 1, found.modelled[frame] + 1, "counted", "fitted")
+            axes.set(yscale="log", title=f"{found.tested_m[frame]:.3f} m")
+        top[0].set_ylabel("counts + 1")
+        top[0].legend(loc="upper right", handlelength=1)
+        shown = (
+            (100 * found.brightness_error, "brightness (%)"),
+            (found.peak_shift, "peak (bins)"),
+            (100 * found.relative_l2, "relative L2 (%)"),
+        )
+        for axes, (values, label) in zip(below, shown, strict=True):
+            axes.plot(found.tested_m, values, ".", color=INK, ms=2.5, alpha=0.4)
+            axes.plot([], [], ".", color=INK, ms=4, label="a zone")
+            axes.plot(found.tested_m, np.median(values, axis=1), "_", color=EXPECTED, ms=6, mew=2, label="median")
+            axes.set(xlabel="distance (m)", ylabel=label)
+        below[2].set_ylim(0, None)
+        below[0].legend(loc="best", ncols=2, columnspacing=1, handlelength=1.5)
+        save_png(figure, check_png(path))
 
 
 def draw_comparison(found: Comparison, path: str | Path) -> None:
     """Write the picture as .png: the best, a median and the worst histogram; below, errors by zone and by what was
     fitted, and what would explain the rest. Raises `InputError` where it cannot be written."""
     with house_style():
-        figure = new_figure(8.0, 6.2)
+        figure = new_figure(6.2)
         top, below = figure.subplots(2, 3)
         _draw_some(top, found)
         _draw_zones(below[0], found)
@@ -101,7 +111,7 @@ def _draw_steps(axes: Axes, found: Comparison) -> None:
     axes.set_yticks(rows, names)
     axes.invert_yaxis()
     axes.set(xlabel="relative L2 after\nfitting this, too (%)", xlim=(0, None))
-    axes.legend(loc="center right", markerscale=0.6)
+    axes.legend(loc="lower right", markerscale=0.6)
 
 
 def _draw_histograms(axes: Axes, measured: Floats, modelled: Floats, *labels: str) -> None:

@@ -6,12 +6,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Colormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from datagen.capture.device_optics import half_tangents, zone_boxes
@@ -20,7 +23,7 @@ from datagen.devices import Device, zone_depth
 from datagen.effects import EFFECTS, EffectDecisions, plan_effects
 from datagen.records import Accuracy, Capture, Lambertian, Part, Scene, Transient
 from datagen.records.arrays import Floats
-from datagen.report.style import captioned, check_png, house_style, save_png, short
+from datagen.report.style import SMALLEST_PT, captioned, check_png, house_style, save_png, short
 from datagen.transport import transient_of
 from datagen.transport.rays import Raycaster
 from datagen.units import SPEED_OF_LIGHT_M_PER_S
@@ -31,6 +34,11 @@ ACCURACY = Accuracy(samples=64, max_bounces=3, direct=True)
 """Light of one bounce is integrated over beams; that of three, far fainter, only has to be of the right size."""
 VIEW = (0.78, 0.62)
 """Tangents of half the width and height of the pictures: wider than the field of any device of the catalogue."""
+_LIGHT = "#FF7F0E"
+_DOT: dict[str, Any] = {
+    "color": _LIGHT, "marker": "o", "markersize": 4, "markeredgecolor": "black", "markeredgewidth": 0.4,
+    "linestyle": "",
+}  # fmt: skip
 PIXELS = 360
 """Pixels of a picture from left to right."""
 FRONTS_M = {"box": 0.55, "ball": 0.85, "wall": 1.2}
@@ -137,27 +145,37 @@ def table(seen: Sequence[Seen]) -> str:
 def _draw(scene: Scene, seen: Sequence[Seen], path: Path) -> None:
     """A row for each device: the room as it faces it, with its zones and its light, and its histograms."""
     text = (
-        "Left: the room as each device faces it, coloured by depth, with its zones (black; dots: points of a scan) "
-        "and its light (orange); right: counts of one frame of each zone over the distance that a bin stands for, in "
-        "the colour of the mean depth that the zone sees."
+        "Left: the room as each device faces it, in the colour of its depth. Right: its histograms of one frame over "
+        "the distance that a bin stands for, each in the colour of the mean depth that its zone sees (grey: none); "
+        "what is level are dark counts and ambient light. Triangles: fronts of box, ball and wall."
     )
     colors = colormaps["turbo_r"]
     with house_style():
         title = "What each device sees of the same room"
-        figure, grid = captioned(12, [2.3] * len(seen), text, title, 2, [1, 2.1])
+        figure, grid = captioned([1.7] * len(seen) + [0.55], text, title, 2, [1, 2.1])
         picture = _picture(scene, colors)
         for row, one in enumerate(seen):
             _draw_view(figure.add_subplot(grid[row, 0]), one, picture)
             axes = figure.add_subplot(grid[row, 1])
-            _draw_histograms(axes, one, colors)
-            if row == 0:
-                top = axes.get_ylim()[1]
-                for name, depth in FRONTS_M.items():
-                    axes.annotate(
-                        f"{name}, {depth:g} m", (depth, top), (4, -11), textcoords="offset points", fontsize=8
-                    )
+            _draw_histograms(axes, one, colors, named=row == 0)
             axes.set_xlabel("distance that the bin stands for (m)" if row + 1 == len(seen) else "")
+        _draw_key(figure.add_subplot(grid[len(seen), :]), colors)
         save_png(figure, path)
+
+
+def _draw_key(axes: Axes, colors: Colormap) -> None:
+    """What the marks of the pictures mean, and the scale of depths."""
+    axes.set_axis_off()
+    marks = [
+        Line2D([], [], color=_LIGHT, linestyle="--", linewidth=1.6, label="the light's field"),
+        Line2D([], [], **_DOT, label="a dot of light"),
+        Patch(facecolor="none", edgecolor="black", label="a zone"),
+        Line2D([], [], color="black", marker=".", markersize=3, linestyle="", label="a point of a scan"),
+    ]
+    axes.legend(handles=marks, loc="center left", bbox_to_anchor=(0.0, 0.5), ncols=2, borderaxespad=0)
+    scale = axes.inset_axes((0.62, 0.55, 0.36, 0.25))
+    scale.imshow(colors(np.linspace(0, 1, 256))[None], extent=(NEAR_M, FAR_M, 0, 1), aspect="auto")
+    scale.set(yticks=[], xlabel="depth (m)")
 
 
 def _picture(scene: Scene, colors: Colormap) -> Floats:
@@ -189,26 +207,26 @@ def _draw_view(axes: Axes, one: Seen, picture: Floats) -> None:
     (width, height), light, zones = VIEW, one.device.light, one.device.zones
     axes.imshow(picture, extent=(-width, width, -height, height), alpha=0.85)
     axes.set(xticks=[], yticks=[], xlim=(-width, width), ylim=(-height, height))
-    axes.set_ylabel(short(one.device.name), fontweight="bold", fontsize=11)
+    axes.set_ylabel(short(one.device.name), fontweight="bold")
     half = half_tangents(light.field_deg)
     field = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
-    axes.plot(*field.T, "--", color="#FF7F0E", lw=1.6)
+    axes.plot(*field.T, "--", color=_LIGHT, lw=1.6)
     points = _tangents(one.capture.laser.targets, one.capture.laser.position)
     if light.confocal:
-        axes.plot(*points.T, ".", color="black", ms=1.2, alpha=0.6)
+        axes.plot(*points.T, ",", color="black", alpha=0.6)
         return
     boxes = zone_boxes(zones)
     x, y, w, h = (side[:, None] for side in boxes.T)
     corners = np.stack([np.hstack([x - w / 2, x + w / 2, x + w / 2, x - w / 2]),
                         np.hstack([y - h / 2, y - h / 2, y + h / 2, y + h / 2])], axis=-1)  # fmt: skip
     if light.kind != "flood":
-        axes.plot(*points.T, "o", color="#FF7F0E", ms=4, mec="black", mew=0.4, zorder=3)
+        axes.plot(*points.T, **_DOT, zorder=3)
     axes.add_collection(PolyCollection([*corners], facecolors="none", edgecolors="black",
-                                     linewidths=0.8 if len(corners) <= MOST_CURVES else 0.25))  # fmt: skip
+                                     linewidths=0.8 if len(corners) <= MOST_CURVES else 0.1))  # fmt: skip
 
 
-def _draw_histograms(axes: Axes, one: Seen, colors: Colormap) -> None:
-    """The counts of the zones over distance."""
+def _draw_histograms(axes: Axes, one: Seen, colors: Colormap, named: bool) -> None:
+    """The counts of the zones over distance. named : whether the triangles at the fronts have names."""
     device, counts = one.device, one.counts
     lasers, _, bins = counts.shape
     # A scan over many pixels is shown as each pixel's sum over the scan, a confocal one point by point.
@@ -222,17 +240,19 @@ def _draw_histograms(axes: Axes, one: Seen, colors: Colormap) -> None:
         axes.stairs(np.maximum(curves[k], 0.5), edges_m, color=color, lw=0.9, baseline=None)
     axes.set(yscale="log", xlim=(-0.15, 2.0), ylim=(0.7, 2.5 * max(float(curves.max()), 10.0)))
     top = axes.get_ylim()[1]
-    for depth in FRONTS_M.values():
-        axes.plot([depth], [top], "v", color=_color(colors, np.array([depth]))[0], ms=9, mec="black", clip_on=False)
+    for name, depth in FRONTS_M.items():
+        axes.plot([depth], [top], "v", color=_color(colors, np.array([depth]))[0], ms=7, mec="black", clip_on=False)
+        if named:
+            there: dict[str, Any] = {"ha": "center", "textcoords": "offset points", "fontsize": SMALLEST_PT}
+            axes.annotate(f"{name}\n{depth:g} m", (depth, top), (0, 6), **there)
     if edges_m[-1] < 2.0:
         axes.axvspan(edges_m[-1], 2.0, color="#EEEEEE", lw=0)
-        axes.text(edges_m[-1] + 0.02, top / 2, "no bins", color="#777777", va="top", fontsize=8)
+        axes.text(edges_m[-1] + 0.02, top / 2, "no bins", color="#777777", va="top", fontsize=SMALLEST_PT)
     many = f"{len(shown)} of {len(curves)}" if len(shown) < len(curves) else f"{len(curves)}"
     zones = "points" if device.light.confocal else "zones" if len(curves) > 1 else "zone"
-    gated = ", gate moved to the wall" if isinstance(device.counting.gate_ns, tuple) else ""
-    weaker = "" if one.attenuation == 1 else f", laser weakened {float(f'{one.attenuation:.1g}'):,.0f}-fold"
-    lit = "" if lasers == 1 or device.light.confocal else f", sum over {lasers} laser points"
-    axes.set_title(
-        f"{many} {zones}, {bins} bins of {device.time.bin_width_ps:g} ps{lit}{gated}{weaker}", fontsize=9, loc="left"
-    )
+    more = [f"sum over {lasers} laser points"] * (lasers > 1 and not device.light.confocal)
+    more += ["gate moved to the wall"] * isinstance(device.counting.gate_ns, tuple)
+    more += [f"laser weakened {float(f'{one.attenuation:.1g}'):,.0f}-fold"] * (one.attenuation != 1)
+    lines = [f"{many} {zones}, {bins} bins of {device.time.bin_width_ps:g} ps", ", ".join(more)]
+    axes.set_title("\n".join(line for line in lines if line), fontsize=9, fontweight="normal", pad=34 if named else 8)
     axes.set_ylabel("counts")

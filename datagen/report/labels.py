@@ -21,7 +21,7 @@ from datagen.records import Scene
 from datagen.records.arrays import Floats
 from datagen.records.label_fields import LabelField, Look, drawn_fields
 from datagen.report.replay import StoredScene
-from datagen.report.style import captioned, empty_note, part_colors, short
+from datagen.report.style import SMALLEST_PT, WIDTH_IN, captioned, empty_note, part_colors, short
 
 DRAWN = drawn_fields()
 _MOST_NAMES = 12
@@ -147,7 +147,8 @@ def draw_boxes(
         axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, zorder=4))
         x, y = (corners[:, :2].min(axis=0) + corners[:, :2].max(axis=0)) / 2
         box = {"facecolor": "white", "edgecolor": color, "boxstyle": "round,pad=0.15", "linewidth": 0.8}
-        named = axes.text(x, y, short(classes[label]), fontsize=7, ha="center", va="center", bbox=box, zorder=5)
+        style: dict[str, Any] = {"fontsize": SMALLEST_PT, "ha": "center", "va": "center", "bbox": box, "zorder": 5}
+        named = axes.text(x, y, short(classes[label]), **style)
         # The name of an object at the edge must not take space from the picture, or cover the next one.
         named.set_in_layout(False)
         named.set_clip_on(True)
@@ -158,15 +159,15 @@ def draw_boxes(
 
 
 def labels_page(stored: StoredScene, scene: Scene, labels: Mapping[str, NDArray[Any]], text: str) -> Figure:
-    """All labels and the stored boxes, two or three in a row, with a caption."""
+    """All labels and the stored boxes, two in a row, with a caption."""
     boxes = None
     if OBJECT_TABLES[0] in stored.arrays:
         boxes = ObjectBoxes.from_tables({name: stored.arrays[name] for name in OBJECT_TABLES})
     panels = len(labels) + (boxes is not None)
-    columns = min(3, panels)
-    frame, width = ViewFrame.of(scene), 4.6 * columns if columns > 1 else 7.0
-    high = float(np.clip(0.7 * width / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
-    figure, grid = captioned(width, [high] * -(-panels // columns), text, f"{stored.title}: labels", columns)
+    columns = min(2, panels)
+    frame = ViewFrame.of(scene)
+    high = float(np.clip(0.7 * WIDTH_IN / columns * frame.half_height_m / frame.half_width_m, 1.5, 5.0)) + 1.0
+    figure, grid = captioned([high] * -(-panels // columns), text, f"{stored.title}: labels", columns)
     for number, (field, values) in enumerate(labels.items()):
         draw_label(figure, figure.add_subplot(grid[divmod(number, columns)]), scene, field, values)
     if boxes is not None:

@@ -4,7 +4,7 @@ what backprojection makes of that."""
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -26,13 +26,14 @@ from datagen.report.rooms import RoomPicture, draw_plan, draw_walls
 from datagen.report.scans import Raster, reach
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of
 from datagen.report.strip import label_images, label_of
-from datagen.report.style import EXPECTED, INK, LASER, captioned, part_colors, short
+from datagen.report.style import EXPECTED, INK, LASER, WIDTH_IN, captioned, in_sigma, part_colors, short
 
 LEAST_HZ, MOST_HZ = 0.5, 50.0
 """Pictures a second: browsers slow down what is faster, and nobody waits for what is slower."""
 MOST_PICTURES = 64
 """Most pictures, so that the file keeps below some 2 MB; longer sequences show every second, third, … frame."""
-_WIDTH_IN = 7.5
+_WIDTH_PX = 824
+"""Width of the pictures, pixels: pages of text show GIFs as they are."""
 _CELLS = 96
 """Most cells of time, so that each has three pixels or more; bins are summed up to these."""
 _CLIPPED = 0.01
@@ -76,15 +77,18 @@ def animation(stored: StoredScene, room: Scene | None) -> bytes | None:
     text = f"{'Middle' if plans else 'Right'}: {text}" if columns > 1 else text[0].upper() + text[1:]
     if plans is not None:
         text += " Right: this difference backprojected, from above."
+    if room is not None and stored.change():
+        text += " σ: how far the change from frame to frame stands out of the noise, in the median."
     text += f" {_pace(shown_hz / rate_hz)}."
-    figure, grid = captioned(_WIDTH_IN, [2.9, 0.4] if room is not None else [3.0], text, " ")
+    figure, grid = captioned([2.9, 0.4] if room is not None else [3.0], text, " ")
+    figure.set_dpi(_WIDTH_PX / WIDTH_IN)
     # In a subfigure, so that room for a colour bar beside one panel is not left free beside all.
     above = figure.add_subfigure(grid[0, 0])
     panels = list(above.subplots(1, columns, squeeze=False, width_ratios=[1.2, 1, 1][:columns])[0])
     updates = [draw_change(above, panels[min(columns - 1, 1)], stored, measured)]
     if room is not None:
         updates.append(draw_movers(panels[0], room, stored, times_s))
-        _draw_marks(figure.add_subplot(grid[1, 0]), room, plans is not None)
+        draw_marks(figure.add_subplot(grid[1, 0]), room, in_sigma(stored.change()), plans is not None)
     elif window is not None and label is not None:
         updates.append(_draw_label(panels[0], window, stored, label))
     if room is not None and plans is not None:
@@ -199,14 +203,15 @@ def _draw_sensor(axes: Axes, stored: StoredScene) -> Update:
     return update
 
 
-def _draw_marks(axes: Axes, room: Scene, outlined: bool) -> None:
-    """A legend of the plan in axes of its own. outlined : whether what moves is outlined in a floor plan, too."""
+def draw_marks(axes: Axes, room: Scene, change: Mapping[str, str], outlined: bool) -> None:
+    """A legend of the plan in axes of its own. change : part → its change from frame to frame in words. outlined :
+    whether what moves is outlined in a floor plan, too."""
     colors, wall = part_colors(room), next((k for k, role in enumerate(room.roles) if role == "relay_wall"), None)
-    handles: list[Patch | Line2D] = [
-        Patch(fc=colors[name], ec=INK, label=f"{short(name, 20)}, dotted: its way") for name in room.moving[:_NAMED]
-    ]
+    moving = [(name, f"{short(name, 20)}{change.get(name, '')}") for name in room.moving[:_NAMED]]
+    handles: list[Patch | Line2D] = [Patch(fc=colors[name], ec=INK, label=label) for name, label in moving]
     standing = [name for name in room.objects if name not in room.moving]
     handles += [Patch(fc=colors[name], label=short(name, 20)) for name in standing[: max(_NAMED - len(handles), 0)]]
+    handles.append(Line2D([], [], linestyle=":", color=INK, label="way of what moves"))
     if wall is not None:
         handles.append(Line2D([], [], linewidth=4.5, color=colors[room.part_names[wall]], label="relay wall"))
     if room.device_position is not None:

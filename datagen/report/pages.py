@@ -26,14 +26,12 @@ from datagen.report.rooms import LEGEND_COLUMNS, RoomPicture, draw_legend, draw_
 from datagen.report.scans import Raster, draw_time_slice, scan_page
 from datagen.report.stored import QUANTITIES, light_of_stored, scene_of_stored, time_of_stored, unit_of, why_roomless
 from datagen.report.strip import strip_page
-from datagen.report.style import captioned, house_style, save_gif, save_png, short
+from datagen.report.style import captioned, house_style, in_sigma, save_gif, save_png, short
 from datagen.store.files import check_writable
 from datagen.store.summaries import OVER_M
 
 PAGES = ("overview", "light", "histogram", "labels", "scan")
 """The pictures of a scene, in the order in which they are made."""
-PAGE_IN = 8.0
-"""Width of the first two, inches: 880 pixels, so that letters can be read where pages of text are 830 wide."""
 
 
 def show(dataset: str | Path, index: int, out: str | Path | None = None) -> list[Path]:
@@ -150,17 +148,13 @@ def _overview_page(stored: StoredScene, replayed: Replay, depth: NDArray[Any]) -
     )
     # The legend has all parts and up to six marks.
     legend_in = 0.19 * float(np.ceil((len(replayed.scene.part_names) + 6) / LEGEND_COLUMNS)) + 0.1
-    figure, grid = captioned(PAGE_IN, [2.9, legend_in], text, f"{stored.title}: overview", 3)
+    figure, grid = captioned([2.9, legend_in], text, f"{stored.title}: overview", 3)
     plan, opened, behind = (figure.add_subplot(grid[0, k]) for k in range(3))
     draw_plan(plan, room)
     plan.set_title("From above")
     draw_opened(opened, room)
     opened.set_title("Opened")
-    found = {
-        name: f", {sigma:.0f} σ" if sigma >= 10 else f", {sigma:.2g} σ"
-        for name, sigma in stored.significance().items()
-    }
-    draw_legend(figure.add_subplot(grid[1, :]), room, found)
+    draw_legend(figure.add_subplot(grid[1, :]), room, in_sigma(stored.significance()))
     draw_label(figure, behind, replayed.scene, "depth", depth)
     return figure
 
@@ -176,7 +170,7 @@ def _light_page(stored: StoredScene, replayed: Replay) -> Figure:
         f"{_provenance(replayed)}."
     )
     legend_in = 0.19 * float(np.ceil((len(sums) + 3) / LEGEND_COLUMNS)) + 0.1
-    figure, grid = captioned(PAGE_IN, [3.2, legend_in], text, f"{stored.title}: light and counts")
+    figure, grid = captioned([3.2, legend_in], text, f"{stored.title}: light and counts")
     # In a subfigure, so that room for a colour bar beside one panel is not left free beside all.
     above = figure.add_subfigure(grid[0, 0])
     *first, split, counted = above.subplots(1, 2 + several)
@@ -237,7 +231,7 @@ def _curves_page(
     text: str,
 ) -> Figure:  # fmt: skip
     """Counts or light over time: the channel where objects stand out, and the sum over the scan."""
-    figure, grid = captioned(12, [3.8], text, title, 2)
+    figure, grid = captioned([3.2], text, title, 2)
     channel = light.channel
     one, whole = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1])
     draw_counts(one, values[channel], None if expected is None else expected[channel], time, unit, mean)

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from datagen.report.style import EXPECTED, new_figure, short
+from datagen.report.style import EXPECTED, SMALLEST_PT, new_figure, short
 from datagen.store.columns import Column, Columns
 
 MOST_PARAMETERS = 12
-_COLUMNS = 4
-_CELL_IN = (3.2, 1.75)
-_TITLE_LETTERS = 48
+_COLUMNS = 3
+_CELL_IN = 1.75
+_TITLE_LETTERS = 38
 
 
 def varying(parameters: Columns) -> dict[str, Column]:
@@ -33,9 +33,9 @@ def parameter_page(columns: Mapping[str, Column]) -> Figure | None:
     if not shown:
         return None
     rows = -(-len(shown) // _COLUMNS)
-    tall = rows * _CELL_IN[1]
-    figure = new_figure(_COLUMNS * _CELL_IN[0], tall, arranged=False)
-    figure.subplots_adjust(0.05, 0.3 / tall, 0.99, 1 - 0.3 / tall, wspace=0.28, hspace=0.62)
+    tall = rows * _CELL_IN
+    figure = new_figure(tall, arranged=False)
+    figure.subplots_adjust(0.08, 0.3 / tall, 0.98, 1 - 0.3 / tall, wspace=0.28, hspace=0.62)
     for number, (name, column) in enumerate(shown):
         axes = figure.add_subplot(rows, _COLUMNS, number + 1)
         if not column.is_number:
@@ -54,8 +54,8 @@ def parameter_page(columns: Mapping[str, Column]) -> Figure | None:
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:.4g}")
             if not wide:
                 axes.locator_params(axis="x", nbins=5)
-        axes.set_title(short(name, _TITLE_LETTERS), fontsize=8, fontweight="normal")
-        axes.tick_params(labelsize=7)
+        axes.set_title(short(name, _TITLE_LETTERS), fontsize=SMALLEST_PT, fontweight="normal")
+        axes.tick_params(labelsize=SMALLEST_PT)
         if number % _COLUMNS == 0:
-            axes.set_ylabel("scenes", fontsize=7)
+            axes.set_ylabel("scenes", fontsize=SMALLEST_PT)
     return figure

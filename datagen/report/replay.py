@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,7 +26,7 @@ from datagen.seeding import Purpose, derived_seed
 from datagen.store import Manifest
 from datagen.store.manifest import MissingMesh
 from datagen.store.scenes import Scenes
-from datagen.store.summaries import SIGNIFICANCE
+from datagen.store.summaries import CHANGE, SIGNIFICANCE
 
 REPRODUCED = 1e-5
 """Relative L2 difference up to which a transient counts as reproduced (storage in float32 costs 1e-7)."""
@@ -73,10 +74,18 @@ class StoredScene:
 
     def significance(self) -> dict[str, float]:
         """Object → stored significance of its own light in the data; objects without one are left out."""
+        return self._by_object(SIGNIFICANCE)
+
+    def change(self) -> dict[str, float]:
+        """Object that moves → stored significance of what changes by it from frame to frame, the median of all."""
+        return self._by_object(CHANGE)
+
+    def _by_object(self, pattern: re.Pattern[str]) -> dict[str, float]:
+        """Object → its number among the parameters whose names have such a pattern."""
         return {
             found[1]: float(value)
             for name, value in self.parameters.items()
-            if (found := SIGNIFICANCE.fullmatch(name)) and isinstance(value, int | float) and value == value
+            if (found := pattern.fullmatch(name)) and isinstance(value, int | float) and value == value
         }
 
 

@@ -16,7 +16,7 @@ from datagen.report.replay import Light
 from datagen.report.style import captioned, empty_note
 
 MOMENTS = 4
-"""Moments at which the whole wall is shown, enough to see how a wavefront travels over it."""
+"""Moments at which the whole wall is shown, two in a row, enough to see how a wavefront travels over it."""
 _COLORS = "magma"
 _DECADES = 3.5
 
@@ -97,7 +97,7 @@ def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
     layers = {"all light" if light.objects.any() else "": light.total}
     if light.objects.any():
         layers["objects only"] = light.objects
-    figure, grid = captioned(14, [3.1 * len(layers)], text, f"{title}: the scan", 2, [1, 2.4])
+    figure, grid = captioned([3.4 * len(layers)], text, f"{title}: the scan", 2, [1, 1.4])
     # Subfigures, so that the colour bars of one take no room from the columns of the other.
     left, right = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     at = moments(raster.scan_of(light.clear))
@@ -108,13 +108,14 @@ def scan_page(title: str, light: Light, source: str = "") -> Figure | None:
             _draw_places(right, right.add_subplot(len(layers), 1, line + 1), scan, raster, light)
             continue
         for number, bins in enumerate(at):
-            axes = right.add_subplot(len(layers), MOMENTS, line * MOMENTS + number + 1)
+            axes = right.add_subplot(2 * len(layers), MOMENTS // 2, line * MOMENTS + number + 1)
             extent = (*reach(raster.x_m), *reach(raster.z_m)[::-1])
             # Noise leaves a little less than no light where hardly any is.
             shown = np.sqrt(np.maximum(scan[..., bins].sum(axis=-1), 0.0))
             axes.imshow(shown, extent=extent, cmap=_COLORS, interpolation="nearest", vmin=0.0)
             edges = light.time.edges_s * 1e9
-            axes.set(xlabel="right (m)", ylabel="" if number else f"{what or 'all'}: up (m)")
+            axes.set_xlabel("right (m)" if number > 1 else "")
+            axes.set_ylabel("" if number % 2 else f"{what or 'all'}: up (m)")
             axes.set_title(f"{edges[bins.start]:.4g} – {edges[bins.stop]:.4g} ns")
     return figure
 

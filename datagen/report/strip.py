@@ -37,11 +37,11 @@ def strip_page(stored: StoredScene, scene: Scene | None) -> Figure | None:
     count = min(stored.frames, MOST_FRAMES)
     chosen = np.unique(np.linspace(0, stored.frames - 1, count).round().astype(int))
     times_s = stored.arrays["laser_time"].mean(axis=1)
-    heights = [1.6] * (label is not None) + [3.2] * (measured is not None)
+    heights = [1.3] * (label is not None) + [3.2] * (measured is not None)
     drawn = [f"{label} in the middle of frames' exposures"] * (label is not None)
     drawn += [f"{measured} summed over the scan, less the mean over all frames"] * (measured is not None)
     text = "; below, ".join(drawn).capitalize() + "."
-    figure, grid = captioned(1.7 * len(chosen) + 1.0, heights, text, f"{stored.title}: frames", len(chosen))
+    figure, grid = captioned(heights, text, f"{stored.title}: frames", len(chosen))
     if label is not None and scene is not None:
         _draw_labels([figure.add_subplot(grid[0, k]) for k in range(len(chosen))], scene,
                      stored.arrays[label][chosen], label, times_s[chosen])  # fmt: skip

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,15 +17,21 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
+from matplotlib.gridspec import GridSpecFromSubplotSpec
 
 from datagen.errors import InputError
 from datagen.records import Scene
 from datagen.records.checks import as_given
 from datagen.store.files import replacing
 
+WIDTH_IN = 8.0
+"""Width of every picture, inches: 880 pixels, which pages of text show some 830 wide."""
+SMALLEST_PT = 8.0
+"""Size of the smallest letters, points: 11 pixels and more on such a page."""
 DPI = 110
 INK = "#222222"
+_CAPTION_LETTERS, _TITLE_LETTERS = 112, 76
+"""Letters of a line of a caption, and of a title, as many as `WIDTH_IN` has room for."""
 NAME_LETTERS = 32
 """Most letters of a name in a legend."""
 LASER = "#D55E00"
@@ -56,7 +62,7 @@ def house_style() -> Iterator[None]:
         "axes.edgecolor": "#666666",
         "axes.spines.top": False,
         "axes.spines.right": False,
-        "legend.fontsize": 8.0,
+        "legend.fontsize": SMALLEST_PT,
         "legend.frameon": False,
         "svg.hashsalt": "datagen",
     }
@@ -74,6 +80,11 @@ def plain(text: str) -> str:
 def short(name: str, letters: int = NAME_LETTERS) -> str:
     """A name as legends and titles show it: cut where it is long."""
     return plain(name if len(name) <= letters else f"{name[: letters - 1]}…")
+
+
+def in_sigma(values: Mapping[str, float]) -> dict[str, str]:
+    """Name → its significance as legends have it after the name, such as ", 12 σ"; two digits where it is less."""
+    return {name: f", {sigma:.0f} σ" if sigma >= 10 else f", {sigma:.2g} σ" for name, sigma in values.items()}
 
 
 def part_colors(scene: Scene) -> dict[str, str]:
@@ -94,9 +105,10 @@ def part_colors(scene: Scene) -> dict[str, str]:
     return colors
 
 
-def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figure:
-    """An empty figure on an Agg canvas. `arranged`: axes are placed by their contents, which is slow for many."""
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
+def new_figure(height_in: float, arranged: bool = True) -> Figure:
+    """An empty figure on an Agg canvas, as wide as all. `arranged`: axes are placed by their contents, which is slow
+    for many."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), dpi=DPI, facecolor="white")
     if arranged:
         figure.set_layout_engine("constrained")
     FigureCanvasAgg(figure)
@@ -104,26 +116,33 @@ def new_figure(width_in: float, height_in: float, arranged: bool = True) -> Figu
 
 
 def captioned(
-    width_in: float, heights_in: Sequence[float], text: str, title: str = "", columns: int = 1,
-    widths: Sequence[float] | None = None, arranged: bool = True,
-) -> tuple[Figure, GridSpec]:  # fmt: skip
+    heights_in: Sequence[float], text: str, title: str = "", columns: int = 1, widths: Sequence[float] | None = None,
+    arranged: bool = True,
+) -> tuple[Figure, GridSpecFromSubplotSpec]:  # fmt: skip
     """A figure with a caption below it, and the grid of its rows and columns.
 
     The caption has the last row, and is the first of the figure's axes. arranged : as for `new_figure`.
     """
-    lines = textwrap.wrap(text, width=int(width_in * 14))
-    rows = [*heights_in, 0.17 * len(lines) + 0.12]
-    height = sum(rows) + (0 if arranged else 0.6)
-    figure = new_figure(width_in, height, arranged)
-    grid = figure.add_gridspec(len(rows), columns, height_ratios=rows, width_ratios=widths)
+    lines = textwrap.wrap(text, width=_CAPTION_LETTERS)
+    # Where axes are not placed by their contents, their lowest labels reach into the row of the caption.
+    above_it = 0.0 if arranged else 0.35
+    below = 0.17 * len(lines) + 0.12 + above_it
+    height = sum(heights_in) + below + (0 if arranged else 0.6)
+    figure = new_figure(height, arranged)
+    # A grid within a row, so that titles and labels above take no space from the caption.
+    outer = figure.add_gridspec(2, 1, height_ratios=[sum(heights_in), below], hspace=0)
+    grid = outer[0].subgridspec(len(heights_in), columns, height_ratios=heights_in, width_ratios=widths)
     if not arranged:
         figure.subplots_adjust(bottom=0, top=1 - 0.6 / height)
     if title:
-        figure.suptitle(plain(" ".join(title.split())), fontweight="bold", y=None if arranged else 1 - 0.1 / height)
-    caption = figure.add_subplot(grid[len(heights_in), :])
+        titles = "\n".join(textwrap.wrap(title, width=_TITLE_LETTERS))
+        figure.suptitle(plain(titles), fontweight="bold", y=None if arranged else 1 - 0.1 / height)
+    caption = figure.add_subplot(outer[1])
     caption.set_axis_off()
-    written = caption.text(0, 1, plain("\n".join(lines)), va="top", fontsize=8.5, color="#444444", linespacing=1.35)
-    # Its row is high enough already; in the layout, long lines would take space from the pictures.
+    written = caption.text(
+        0, 1 - above_it / below, plain("\n".join(lines)), va="top", fontsize=8.5, color="#444444", linespacing=1.35
+    )
+    # Its row is high enough; in the layout, long lines would take space from the pictures.
     written.set_in_layout(False)
     return figure, grid
 

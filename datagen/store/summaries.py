@@ -29,8 +29,7 @@ MISSED = 0.9
 """Share of a scene's light outside of the time axis from which on its histograms miss the scene."""
 SIGNIFICANCE = re.compile(r"evidence\.(.+)\.significance")
 """Name of the parameter that has the significance of an object's own light."""
-
-CHANGE = re.compile(r"evidence\.(.+)\.(change|change_floor)")
+CHANGE, CHANGE_FLOOR = (re.compile(rf"evidence\.(.+)\.{name}") for name in ("change", "change_floor"))
 """Names of the parameters that have the change from frame to frame by an object, and its floor."""
 
 
@@ -121,15 +120,16 @@ def evidence_lines(kinds: Iterable[KindEvidence]) -> list[str]:
 
 def change_lines(parameters: Columns) -> list[str]:
     """A line for each kind of object that moves: the change from frame to frame by it, and how well that is known."""
-    found: dict[str, dict[str, list[Floats]]] = {}
+    found: dict[str, tuple[list[Floats], list[Floats]]] = {}
     for name, column in parameters.items():
-        match = CHANGE.fullmatch(name)
-        if match and not column.is_text:
-            kind = re.sub(r"_\d+$", "", match[1])
-            found.setdefault(kind, {}).setdefault(match[2], []).append(column.numbers)
+        for place, pattern in enumerate((CHANGE, CHANGE_FLOOR)):
+            match = pattern.fullmatch(name)
+            if match and not column.is_text:
+                kind = re.sub(r"_\d+$", "", match[1])
+                found.setdefault(kind, ([], []))[place].append(column.numbers)
     lines = []
     for kind, of in sorted(found.items()):
-        change, floor = (np.concatenate(of[key]) for key in ("change", "change_floor"))
+        change, floor = map(np.concatenate, of)
         lines.append(
             f"{kind}: from frame to frame {np.median(change):.2g} σ in the median of {len(change)}, of which errors "
             f"of the simulation may make {np.median(floor):.2g} σ"

@@ -140,7 +140,7 @@ def picture(
 ) -> Path:  # fmt: skip
     """Error against processor seconds, a line for each contender, and at each of its points what was asked of it."""
     with house_style():
-        figure = new_figure(8.0, 4.4)
+        figure = new_figure(4.4)
         axes = figure.subplots()
         for k, ((name, line), (color, marker)) in enumerate(zip(lines.items(), LOOKS, strict=False)):
             # Lines of two that lie side by side have their words on either side.

@@ -19,12 +19,12 @@ from datagen.config import config_from_mapping
 from datagen.design.scene_for import scene_for
 from datagen.labels import ViewFrame
 from datagen.report.floor_plans import FloorPlans
-from datagen.report.moving import draw_change, draw_movers, durations_ms
+from datagen.report.moving import draw_change, draw_marks, draw_movers, durations_ms
 from datagen.report.pages import frames_animation, frames_page, show
 from datagen.report.preview import preview
 from datagen.report.replay import read_scene, replay
 from datagen.report.stored import time_of_stored
-from datagen.report.style import house_style, new_figure
+from datagen.report.style import house_style, in_sigma, new_figure
 from tests.sequences.rooms_that_move import box, capture, room
 
 pytestmark = pytest.mark.usefixtures("builds_here")
@@ -105,7 +105,7 @@ def test_the_box_is_drawn_where_it_is(walks: Path) -> None:
     stored = read_scene(walks, 0)
     room, times_s = scene_for(stored.config, 0), stored.arrays["laser_time"].mean(axis=1)
     with house_style():
-        axes = new_figure(5, 5).add_subplot()
+        axes = new_figure(5).add_subplot()
         update = draw_movers(axes, room, stored, times_s)
     (drawn,) = [patch for patch in axes.patches if isinstance(patch, Polygon)]
     for frame, time_s in enumerate(times_s):
@@ -119,7 +119,7 @@ def test_the_box_is_drawn_where_it_is(walks: Path) -> None:
 def test_the_right_side_is_the_change_of_the_counts(walks: Path) -> None:
     stored = read_scene(walks, 0)
     with house_style():
-        figure = new_figure(5, 5)
+        figure = new_figure(5)
         axes = figure.add_subplot()
         update = draw_change(figure, axes, stored, "histogram")
     counts = stored.arrays["histogram"].astype(float).reshape(5, 2, 2, 64).sum(axis=1)
@@ -157,6 +157,18 @@ def test_floor_plans_show_where_light_came_from(walks: Path) -> None:
         assert np.linalg.norm(found - place[:2]) < 0.3
     assert FloorPlans.of(replace(stored, arrays={**stored.arrays, "hidden_bounds": np.full((2, 3), np.nan)})) is None
     assert FloorPlans.of(replace(stored, frames=None)) is None
+
+
+def test_the_legend_says_how_far_what_moves_stands_out(walks: Path) -> None:
+    stored = read_scene(walks, 0)
+    changes = stored.change()
+    assert changes == {"box": stored.parameters["evidence.box.change"]} and changes["box"] > 0
+    with house_style():
+        axes = new_figure(2).add_subplot()
+        draw_marks(axes, scene_for(stored.config, 0), in_sigma(changes), outlined=True)
+        labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels[0] == f"box{in_sigma(changes)['box']}" and "σ" in labels[0]
+    assert in_sigma({"a": 34.6, "b": 3.456}) == {"a": ", 35 σ", "b": ", 3.5 σ"}
 
 
 def test_durations_add_up_to_real_time() -> None:
