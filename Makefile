@@ -47,9 +47,8 @@ demo: setup
 	$(BIN)/datagen build $(CONFIG) $(OUT) --workers 2
 	$(BIN)/datagen info $(OUT)
 	$(BIN)/datagen show $(OUT) 0
-	@echo "Next, all of it on one page, and more rooms to train on (README.md, Train on it):"
-	@echo "    $(BIN)/datagen preview $(OUT)"
-	@echo "    $(BIN)/datagen build $(CONFIG) $(OUT) --workers 2 --scenes 512"
+	@echo "or, with datagen in $(BIN), enough rooms to train on (README.md, Train on it):"
+	@echo "      $(BIN)/datagen build $(CONFIG) $(OUT) --workers 2 --scenes 512"
 
 smoke: setup
 	$(BIN)/python tests/tools/smoke.py
