@@ -627,29 +627,30 @@ def draw(found: Found, out: Path) -> None:
         "Depth where a method sees something, of two real scans (O'Toole et al. 2018), as somebody sees it who faces "
         "the wall: letters are mirrored. Above each: its median, and the overlap with the outline, the S-shaped "
         "plate whose light explains the scan best. What is seen is what is bright enough: for the S as bright as "
-        "gives the largest overlap, for the chart half of the brightest; the network decides itself."
+        "gives the largest overlap, for the chart half of the brightest; networks decide themselves. Diffuse alone: "
+        "trained on simulations without retroreflection."
     )
-    names = {LETTER: "S, diffuse", CHART: "chart, retroreflecting"}
+    names = {LETTER: "diffuse S", CHART: "retroreflecting chart"}
     with house_style():
         title = "Behind a corner: a network trained on simulated scans, run on real ones"
-        figure, grid_ = captioned([5.0], text, title)
+        figure, grid_ = captioned([5.4], text, title)
         panels = figure.add_subfigure(grid_[0, 0]).subplots(len(names), len(METHODS) + 2)
         for row, (name, label) in enumerate(names.items()):
             answers = {**found.answers[name], NETWORK: found.networks[WHOLE][name][0]}
-            answers["network, without\nretroreflection"] = found.networks["retroreflection"][name][0]
+            answers["network, diffuse alone"] = found.networks["retroreflection"][name][0]
             middle = found.plane_m(name)
             for panel, (method, (mask, depth)) in zip(panels[row], answers.items(), strict=True):
                 off = np.where(mask, 100 * (depth * found.scans[name].side - middle), np.nan)
-                shown = panel.imshow(off, cmap="viridis_r", vmin=-4, vmax=4)
+                shown = panel.imshow(off, cmap="viridis_r", vmin=-2, vmax=2)
                 if name == LETTER:
                     panel.contour(found.outline, [0.5], colors="#D55E00", linewidths=0.8)
                 framed(panel)
                 score = f", {overlap(mask, found.outline):.2f}" if name == LETTER else ""
                 above = f"{method}\n" if row == 0 else ""
                 panel.set_title(f"{above}{found.depth_m(name, (mask, depth)):.3f} m{score}", fontsize=9)
-            panels[row, 0].set_ylabel(f"{label}, at {middle:.3f} m")
+            panels[row, 0].set_ylabel(f"{label},\nat {middle:.3f} m")
         place = {"ax": panels.ravel().tolist(), "location": "bottom", "shrink": 0.5, "aspect": 40}
-        panels[0, 0].figure.colorbar(shown, **place, label="behind the plate (cm)")
+        panels[0, 0].figure.colorbar(shown, **place, extend="both", label="behind the plate (cm)")
         save_png(figure, out)
 
 

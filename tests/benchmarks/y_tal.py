@@ -65,12 +65,24 @@ def reconstruct(out: Path) -> None:
 
 def draw(out: Path) -> None:
     """One picture, front and from above; the middle of all voxels above half of the brightest."""
-    from matplotlib.figure import Figure
+    from datagen.report.style import captioned, house_style, save_png
 
+    text = (
+        "Above: as seen from the wall; below: from above, with the wall at z = 0. Brightness is that of the "
+        "brightest voxel along the line of sight; the cross is the middle of all voxels brighter than half of the "
+        "brightest, and blue is where the letter is."
+    )
     middle = np.average([at for at, _ in BARS], axis=0, weights=[size[0] * size[1] for _, size in BARS])
     middle[2] -= BARS[0][1][2] / 2
-    figure = Figure(figsize=(11, 5.6), layout="constrained")
-    axes = figure.subplots(2, 1 + len(SCANS))
+    with house_style():
+        figure, grid = captioned([3.6], text, "A letter T, and three reconstructions of it by y-tal")
+        panels = figure.add_subfigure(grid[0, 0]).subplots(2, 1 + len(SCANS), height_ratios=[2, 1])
+        _draw_panels(panels, middle, out)
+        save_png(figure, out / "found.png")
+
+
+def _draw_panels(axes: Any, middle: Any, out: Path) -> None:
+    """What is there in the first column, what each scan shows in the others."""
     for column, (name, (lasers, pixels)) in enumerate(SCANS.items(), 1):
         with np.load(out / f"{name}.npz") as file:
             found, volume = file["found"], file["volume"]
@@ -81,7 +93,7 @@ def draw(out: Path) -> None:
             f"{name}: off by x {off[0]:.1f}, y {off[1]:.1f}, z {off[2]:.1f} cm; {np.linalg.norm(off):.1f} cm in all"
         )
         scan = f"{pixels}²" if name == "confocal" else f"{lasers}² × {pixels}²"
-        axes[0, column].set_title(f"{name}, {scan}\n{np.linalg.norm(off):.1f} cm off", fontsize=10)
+        axes[0, column].set_title(f"{name}\n{scan}: {np.linalg.norm(off):.1f} cm off", fontsize=9)
         for row, other in enumerate((1, 2)):
             low, high = volume[0, 0, 0] - STEP_M / 2, volume[-1, -1, -1] + STEP_M / 2
             extent = (low[0], high[0], low[other], high[other])
@@ -92,15 +104,14 @@ def draw(out: Path) -> None:
                 box = {"xy": (corner[0], corner[other]), "width": size[0], "height": size[other]}
                 _outline(axes[row, column], **box, fill=False, edgecolor="#4cc9f0")
                 if column == 1:
-                    _outline(axes[row, 0], **box, facecolor="#222222")
+                    _outline(axes[row, 0], **box, facecolor="#4cc9f0")
             axes[row, 0].set(xlim=extent[:2], ylim=extent[2:], aspect="equal")
             axes[row, 0].set_xlabel("x (m)")
-            axes[row, 0].set_ylabel("y (m)" if other == 1 else "z, from the wall (m)")
-            axes[row, 0].plot(middle[0], middle[other], "x", color="#4cc9f0", ms=9, mew=2)
+            axes[row, 0].set_ylabel("y (m)" if other == 1 else "z (m)")
+            axes[row, 0].plot(middle[0], middle[other], "x", color="#222222", ms=9, mew=2)
     for panel in axes.flat:
         panel.set_xticks([-0.4, 0.0, 0.4])
-    axes[0, 0].set_title("what is there", fontsize=10)
-    figure.savefig(out / "found.png", dpi=80, metadata={"Software": None})
+    axes[0, 0].set_title("what is there", fontsize=9)
 
 
 def _outline(axes: Any, **how: Any) -> None:
