@@ -55,18 +55,17 @@ def lock_file(path: Path) -> int | None:
     return None
 
 
-def holder_of(path: Path) -> str:
-    """Who has locked a file, in words."""
-    try:
-        handle = os.open(path, LOOK)
-    except OSError:
-        return "somebody"
-    try:
-        return os.read(handle, 200).decode() or "somebody"
-    except (OSError, UnicodeDecodeError):
-        return "somebody"
-    finally:
-        os.close(handle)
+def holder_of(*paths: Path) -> str:
+    """Who has locked the last one of some files that says so, in words."""
+    for path in reversed(paths):
+        with suppress(OSError, UnicodeDecodeError):
+            handle = os.open(path, LOOK)
+            try:
+                if name := os.read(handle, 200).decode():
+                    return name
+            finally:
+                os.close(handle)
+    return "somebody"
 
 
 def sign_of_life(path: Path) -> int:

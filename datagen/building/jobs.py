@@ -5,9 +5,10 @@ costs one scene. Samples come back here, pickled, and wait in `Jobs.known`; with
 of them and writes the shard. In a cluster, where all samples would pass through the scheduler, a job makes a whole
 shard and writes it; only a shard whose worker died is divided.
 
-Several builds of one dataset share the work. Whoever makes a shard has locked it: this process while its scenes are
-made one by one, else the worker. A shard that another process has locked is left for later, and taken as it is once
-that has committed it. A build waits for such shards last, as long as their makers give signs of life.
+Several builds of one dataset share the work. Whoever makes a shard has locked it: this process where its scenes are
+made one by one, until it is committed, else the worker. A shard that another process has locked is left for later,
+and taken as it is once that has committed it. A build waits for such shards last, as long as their makers give signs
+of life.
 """
 
 from __future__ import annotations
@@ -23,7 +24,15 @@ from typing import Any
 from datagen import store
 from datagen.building.engines import Engine, WorkerDied
 from datagen.building.progress import Progress
-from datagen.building.shard_job import Recipe, ShardHeld, abandon_shard, make_scene, overtime, run_shard
+from datagen.building.shard_job import (
+    Recipe,
+    ShardHeld,
+    abandon_shard,
+    is_free_of_writers,
+    make_scene,
+    overtime,
+    run_shard,
+)
 from datagen.errors import CheckError
 from datagen.locks import PULSE_S, give_sign, holder_of, lock_file, sign_of_life
 from datagen.records.checks import as_given
@@ -64,7 +73,7 @@ class Jobs:
         made.
     known : divided shard → scene → pickled sample, or why there is none.
     apart : shards that are divided because a worker died over them.
-    locks : shard whose scenes are being made one by one → handle of its lock.
+    locks : shard whose scenes are made one by one, and that is not committed yet → handle of its lock.
     held : shard that another process has locked → the last sign of life of that process.
     heard : monotonic time of the last one of all these signs, and of the last result of a job.
     looks, pulse : monotonic times of the next look at `held`, and of the next sign of life of this process.
@@ -110,6 +119,7 @@ class Jobs:
         root, size = self.recipe.root, self._size
         whole = {shard for shard, failed in there.items() if not failed}
         for shard in whole:
+            is_free_of_writers(self.recipe, shard)
             store.running_path(root, shard).unlink(missing_ok=True)
         self.waiting.extend(Task(shard) for shard in wanted if shard not in whole)
         kept = len(wanted) - len(self.waiting)
@@ -144,7 +154,7 @@ class Jobs:
             for handle in self.locks.values():
                 os.close(handle)
             for shard in self.started:
-                abandon_shard(self.recipe, shard)
+                abandon_shard(self.recipe, shard, is_ours=False)
             raise
         return kept + self.by_others
 
@@ -167,7 +177,7 @@ class Jobs:
         if task.scene is None:
             if not self._is_ours(task.shard):
                 return
-            if task.shard in self.locks:
+            if task.shard in self.locks and task.shard not in self.known:
                 self._divide(task.shard)
                 task = self.waiting.popleft()
         shard = task.shard
@@ -181,14 +191,15 @@ class Jobs:
         self.running[future] = task
 
     def _is_ours(self, shard: int) -> bool:
-        """Whether a shard is to be made, or written, now. A shard whose scenes will be made one by one is then
-        locked; any other one is locked by its worker."""
+        """Whether a shard is to be made, or written, now. One whose scenes are made one by one is then locked; any
+        other is locked by its worker."""
         root, manifest = self.recipe.root, self.recipe.manifest
         path = store.running_path(root, shard)
         # Noted first, so that an interruption removes the file of the lock.
         self.started.setdefault(shard, time.time())
         handle = self.locks.pop(shard, None)
-        handle = lock_file(path) if handle is None else handle
+        if handle is None and is_free_of_writers(self.recipe, shard):
+            handle = lock_file(path)
         if handle is None:
             self._leave_for_later(shard)
             return False
@@ -199,17 +210,23 @@ class Jobs:
         is_made = record is not None and not (record.failures and record.finished <= self.began)
         if is_made:
             path.unlink(missing_ok=True)
-        if is_made or shard in self.known or not (self.engine.shares_shards or shard in self.apart):
-            os.close(self.locks.pop(shard))
+        if is_made or not (self.engine.shares_shards or shard in self.apart):
+            self._unlock(shard)
         if record is not None and is_made:
             self._take_from_others(record)
         return not is_made
 
     def _leave_for_later(self, shard: int) -> None:
-        """Another process makes this shard."""
+        """Another process makes this shard, or writes it still for a build that is gone."""
+        self._unlock(shard)
         self.held.setdefault(shard, 0)
         if shard not in self.known:
             self.started.pop(shard, None)
+
+    def _unlock(self, shard: int) -> None:
+        """Let others have a shard, if this process has locked it."""
+        if shard in self.locks:
+            os.close(self.locks.pop(shard))
 
     def _take_from_others(self, record: store.ShardRecord) -> None:
         """A shard that another build has made is there. Raises `CheckError` if it was made with other versions."""
@@ -231,15 +248,16 @@ class Jobs:
         now = time.monotonic()
         if now < self.looks:
             return
-        paths = {shard: store.running_path(self.recipe.root, shard) for shard in self.held}
-        signs = {shard: sign_of_life(path) for shard, path in paths.items()}
+        root = self.recipe.root
+        locked = {shard: (store.running_path(root, shard), store.writing_path(root, shard)) for shard in self.held}
+        signs = {shard: sum(map(sign_of_life, paths)) for shard, paths in locked.items()}
         if self.running or signs != self.held:
             self.heard = now
-        who = ", ".join(f"shard {shard} ({holder_of(path)})" for shard, path in list(paths.items())[:8])
-        who += f" and {len(paths) - 8} more" if len(paths) > 8 else ""
+        who = ", ".join(f"shard {shard} ({holder_of(*paths)})" for shard, paths in list(locked.items())[:8])
+        who += f" and {len(locked) - 8} more" if len(locked) > 8 else ""
         if now > self.heard + SILENCE_S:
             raise CheckError(
-                f"{self.recipe.root}: another build is writing {who}, and has not stirred for {SILENCE_S:g} s; all "
+                f"{root}: another build is writing {who}, and has not stirred for {SILENCE_S:g} s; all "
                 "other shards are made; when that process has gone on or ended, run the same command again"
             )
         if not self.running and not self.waits:
@@ -261,7 +279,7 @@ class Jobs:
         task, self.heard = self.running.pop(future), time.monotonic()
         if future.cancelled():
             self.engine.restore(self.progress.say)
-            abandon_shard(self.recipe, task.shard)
+            abandon_shard(self.recipe, task.shard, is_ours=task.shard in self.locks)
             self.waiting.appendleft(task)
         elif isinstance(future.exception(), self.engine.deaths):
             self._after_death(task, future.exception())
@@ -287,6 +305,9 @@ class Jobs:
             self.output.put_shard(record, of.manifest)
         self.known.pop(shard, None)
         self.started.pop(shard, None)
+        if shard in self.locks:
+            store.running_path(of.root, shard).unlink(missing_ok=True)
+            self._unlock(shard)
         size = self._size(shard)
         self.finished, self.made, self.failed = self.finished + size, self.made + size, self.failed + len(failures)
         if self.failed == self.made >= min(HOPELESS, of.manifest.schema.scenes):
@@ -298,7 +319,7 @@ class Jobs:
         """Put the job of a dead worker back, unless its scene is given up. Raises `CheckError` if workers keep dying
         without making a scene."""
         if task.scene is None:
-            abandon_shard(self.recipe, task.shard)
+            abandon_shard(self.recipe, task.shard, is_ours=task.shard in self.locks)
             if task.shard not in self.known:
                 # Which scene was the cause shows when they are made one by one.
                 self.apart.add(task.shard)

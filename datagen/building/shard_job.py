@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +29,7 @@ from datagen.store import (
     each_committed,
     running_path,
     write_shard,
+    writing_path,
 )
 from datagen.store.environment import environment_differences, joined_environment, made_with
 from datagen.store.record import GROWTH
@@ -38,7 +39,7 @@ GRACE_S = 10.0
 exception did not reach it: time for a library call to return."""
 LONGEST_SCENE_S = 30 * 86400.0
 LOCK_PATIENCE_S = 1.0
-"""Seconds that a worker waits for another writer of the same shard before it takes another shard."""
+"""Seconds that a worker waits for another maker or writer of the same shard before it takes another shard."""
 
 Known = Mapping[int, bytes | str]
 """Scene → what `make_scene` returned for it, or why it is given up."""
@@ -72,7 +73,7 @@ class Recipe:
 
 
 class ShardHeld(CheckError):
-    """Another process is writing the shard."""
+    """Another process is making or writing the shard."""
 
 
 def make_scene(recipe: Recipe, index: int) -> bytes | str:
@@ -95,14 +96,15 @@ def run_shard(
 
     submitted : Unix time at which the job was submitted.
     known : scenes that are made, or given up, already.
-    started : Unix time at which the first of the known scenes was begun; None if there are none.
+    started : Unix time at which the first of the known scenes was begun, by a build that has locked the shard; None
+        if this job is to lock it and to make all scenes.
 
-    Raises `ShardHeld` if another process is writing the shard.
+    Raises `ShardHeld` if another process is making or writing the shard.
     """
     root, manifest = recipe.root, recipe.manifest
-    path = running_path(root, shard)
     _check_environment(recipe)
-    with _sole_writer(path, LOCK_PATIENCE_S):
+    # A build that made the scenes keeps its lock while this process writes them, which may outlive it by a moment.
+    with _sole_maker(recipe, shard) if started is None else nullcontext(), _sole_writer(recipe, shard):
         record = next(iter(committed_records(root, manifest, [shard], hashes=True)), None)
         # A record that is newer than the job was committed by another build, or by this job before its result got
         # lost.
@@ -118,7 +120,6 @@ def run_shard(
             if samples is not None:
                 home = recipe.home(shard)
                 record = write_shard(home, manifest.schema, shard, manifest.fingerprint, samples, made_by, started)
-        path.unlink(missing_ok=True)
     assert record is not None
     return record.failures
 
@@ -157,14 +158,23 @@ def _with_missing_made(recipe: Recipe, record: ShardRecord, known: Known) -> Sam
     return sorted(anew.items())
 
 
-def abandon_shard(recipe: Recipe, shard: int) -> None:
-    """Remove the files of a shard whose writer died, unless it was committed at the last moment, or another writer
-    has locked the shard."""
-    path = running_path(recipe.root, shard)
-    with suppress(CheckError), _sole_writer(path, patience_s=0.0):
+def abandon_shard(recipe: Recipe, shard: int, is_ours: bool) -> None:
+    """Remove the files of a shard whose writer died, unless it was committed at the last moment, or another process
+    has locked the shard. is_ours : whether this process has, and goes on with it."""
+    maker = nullcontext() if is_ours else _sole_maker(recipe, shard, patience_s=0.0)
+    with suppress(CheckError), maker, _sole_writer(recipe, shard, patience_s=0.0):
         if not committed_records(recipe.root, recipe.manifest, [shard]):
             discard_shard(recipe.home(shard), recipe.manifest.schema, shard)
-        path.unlink(missing_ok=True)
+
+
+def is_free_of_writers(recipe: Recipe, shard: int) -> bool:
+    """Whether no process writes a shard; the file that a killed one had locked is removed."""
+    path = writing_path(recipe.root, shard)
+    try:
+        with _locked(path, patience_s=0.0) if os.path.lexists(path) else nullcontext():
+            return True
+    except ShardHeld:
+        return False
 
 
 def _samples(recipe: Recipe, scenes: Iterable[int], known: Known) -> Samples:
@@ -206,11 +216,22 @@ def _last_line_of(error: BaseException) -> str:
     return "" if trace is None else f" ({Path(trace.tb_frame.f_code.co_filename).name}:{trace.tb_lineno})"
 
 
+def _sole_maker(recipe: Recipe, shard: int, patience_s: float | None = None) -> AbstractContextManager[None]:
+    """A context in which no other process makes a shard, for that would be in vain."""
+    return _locked(running_path(recipe.root, shard), patience_s)
+
+
+def _sole_writer(recipe: Recipe, shard: int, patience_s: float | None = None) -> AbstractContextManager[None]:
+    """A context in which no other process writes a shard, for two writers would lose data silently."""
+    return _locked(writing_path(recipe.root, shard), patience_s)
+
+
 @contextmanager
-def _sole_writer(path: Path, patience_s: float) -> Iterator[None]:
-    """A context in which this process has locked a file, for two writers of one shard would lose data silently. The
-    system unlocks the file when the process ends."""
-    deadline = time.monotonic() + patience_s
+def _locked(path: Path, patience_s: float | None) -> Iterator[None]:
+    """A context in which this process has locked a file, which is there for this alone. The system unlocks it when
+    the process ends. Raises `ShardHeld` if another process has it for longer than `patience_s`, by default
+    `LOCK_PATIENCE_S`."""
+    deadline = time.monotonic() + (LOCK_PATIENCE_S if patience_s is None else patience_s)
     while (handle := lock_file(path)) is None:
         if time.monotonic() > deadline:
             raise ShardHeld(
@@ -221,6 +242,7 @@ def _sole_writer(path: Path, patience_s: float) -> Iterator[None]:
     try:
         with signs_of_life(handle):
             yield
+        path.unlink(missing_ok=True)
     finally:
         os.close(handle)
 

@@ -146,8 +146,13 @@ def record_name(shard: int) -> str:
 
 
 def running_path(root: Path, shard: int) -> Path:
-    """Path of the file that the writer of a shard locks."""
+    """Path of the file that is locked by whoever makes a shard, from its first scene until it is committed."""
     return root / BUILD / f"shard-{shard:06d}.running"
+
+
+def writing_path(root: Path, shard: int) -> Path:
+    """Path of the file that is locked by the process that writes a shard, as long as it writes."""
+    return root / BUILD / f"shard-{shard:06d}.writing"
 
 
 def read_record(root: Location, shard: int) -> ShardRecord | None:

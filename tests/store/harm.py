@@ -85,7 +85,11 @@ def after_a_kill(root: Path, resume: Callable[[], object], due: Path, harms: int
         told_so["found"] += found is None or bool(found.problems)
         resume()
         whole = verify(root, deep=True).problems == () and dataset_digest(root) == digest
-        left = [path for path in root.rglob("*") if path.suffix in (".running", ".partial") or path.name[0] == "."]
+        left = [
+            path
+            for path in root.rglob("*")
+            if path.suffix in (".running", ".writing", ".partial") or path.name[0] == "."
+        ]
         told_so["lost"] += not whole or bool(left) or not kept.items() <= intact(root).items()
     except Exception:
         told_so["traceback"] += 1

@@ -24,7 +24,7 @@ from datagen.building import jobs, shard_job
 from datagen.config import DatasetConfig
 from datagen.errors import CheckError, InputError
 from datagen.locks import lock_file
-from datagen.store import running_path, verify
+from datagen.store import running_path, verify, writing_path
 from datagen.store.files import write_first
 from datagen.store.verify import dataset_digest
 
@@ -32,7 +32,7 @@ preparation = importlib.import_module("datagen.store.prepare")
 
 
 def files_of(root: Path) -> set[str]:
-    return {path.name for path in root.rglob("*") if path.suffix in (".partial", ".running")}
+    return {path.name for path in root.rglob("*") if path.suffix in (".partial", ".running", ".writing")}
 
 
 @pytest.fixture
@@ -151,16 +151,17 @@ class Whole(HereAndNow):
     shares_shards = False
 
 
+@pytest.mark.parametrize("locked", [running_path, writing_path])
 @pytest.mark.parametrize("engine", [HereAndNow, Whole])
 def test_a_shard_that_another_process_has_locked_is_left_for_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: type[HereAndNow]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: type[HereAndNow], locked: Callable[[Path, int], Path]
 ) -> None:
     """All others are made; then the build waits as long as the other process gives signs of life, and ends with a
     line that names it. When the lock is gone the build goes on."""
     root, config = tmp_path / "set", small_config()
     monkeypatch.setattr(shard_job, "LOCK_PATIENCE_S", 0.0)
     store.prepare(root, config)
-    path = running_path(root, 1)
+    path = locked(root, 1)
     handle = lock_file(path)
     assert handle is not None
 
@@ -205,6 +206,23 @@ def test_a_worker_that_meets_a_locked_shard_takes_another_one(tmp_path: Path) ->
     with jobs_go_to(Stalled()):
         result = build_fakes(config, root)
     assert result.complete and not files_of(root) and verify(root, deep=True).problems == ()
+
+
+def test_a_shard_is_locked_from_its_first_scene_until_it_is_committed(tmp_path: Path) -> None:
+    """Whatever its scenes come from: none of the moments between two jobs is one for another build to begin with
+    it."""
+    root, of_jobs = tmp_path / "set", list[str]()
+
+    class Looked(HereAndNow):
+        def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+            shard = arguments[1] if function is shard_job.run_shard else arguments[1] // 4
+            assert lock_file(running_path(root, shard)) is None
+            of_jobs.append(function.__name__)
+            return super().submit(function, *arguments)
+
+    with jobs_go_to(Looked()):
+        build_fakes(small_config(), root)
+    assert of_jobs == (["make_scene"] * 4 + ["run_shard"]) * 3 and not files_of(root)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
