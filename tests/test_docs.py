@@ -224,6 +224,22 @@ def test_versions_agree() -> None:
     assert heading in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+def test_each_section_of_figures_names_the_version_that_was_measured() -> None:
+    """One that is released, or the next."""
+    released = re.findall(
+        r"^## \[(\d+\.\d+\.\d+)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    major, minor, _ = map(int, datagen.__version__.split("."))
+    known = {*released, f"{major}.{minor + 1}.0"}
+    _, *sections = re.split(r"^## ", (ROOT / "docs/figures.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert len(sections) > 8
+    for section in sections:
+        heading, _, text = section.partition("\n")
+        versions = re.findall(r"[Mm]easured with (\d+\.\d+\.\d+)", text)
+        assert versions or heading == "Hard cases", f"{heading}: measured with which version?"
+        assert set(versions) <= known, heading
+
+
 IMPORTED = """
 import runpy, sys
 from pathlib import Path
