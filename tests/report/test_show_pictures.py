@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from handmade_rooms import l_corridor
+from legible import too_small
 from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 from matplotlib.text import Text
@@ -17,7 +19,7 @@ from datagen.labels import make_labels
 from datagen.records import Capture, Laser, Scene, Sensor, TimeAxis, Transient
 from datagen.report.pages import PAGES, pages
 from datagen.report.replay import Replay, StoredScene
-from datagen.report.style import house_style
+from datagen.report.style import SMALLEST_PT, house_style, new_figure, save_png
 
 
 def scan(scene: Scene, rows: int = 5, columns: int = 6, bins: int = 200) -> Capture:
@@ -211,3 +213,13 @@ def test_corner_cases_are_drawn(case: str, wanted: list[str]) -> None:
     assert set(figures) == set(wanted)
     if case == "many pixels":
         assert "1 laser point, 1600 pixels." in words(figures["overview"])
+
+
+def test_small_letters_are_found_before_a_picture_is_saved(tmp_path: Path) -> None:
+    """`tests/conftest.py` looks at each picture: eight points can be read on a page, a tenth less cannot."""
+    figure = new_figure(2)
+    for height, size in enumerate((SMALLEST_PT, 0.9 * SMALLEST_PT)):
+        figure.text(0.1, 0.3 * height, f"{size:g} points", fontsize=size)
+    assert too_small(figure) == [f"{0.9 * SMALLEST_PT:g} points"]
+    with pytest.raises(AssertionError, match="letters too small"):
+        save_png(figure, tmp_path / "small.png")
