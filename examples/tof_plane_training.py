@@ -377,7 +377,7 @@ def draw(found: Found, out: Path) -> None:
         "without one effect of the sensor."
     )
     with house_style():
-        title = "Distance of a plane to a real TMF8820, by a network that saw simulated frames alone"
+        title = "A plane's distance to a real TMF8820, learnt from simulated frames alone"
         figure, grid = captioned([2.9, 2.9], text, title)
         axes = figure.add_subplot(grid[0, 0])
         shown = {**found.answers, "network": found.networks[WHOLE][0, :, 0]}
@@ -385,7 +385,7 @@ def draw(found: Found, out: Path) -> None:
             axes.plot(found.truth, (1e3 * np.abs(of - found.truth)).clip(0.01), ".", color=color, label=name)
         axes.set(xlabel="true distance (m)", ylabel="|error| (mm)", yscale="log", ylim=(0.008, 30))
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), labelspacing=1)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, columnspacing=2)
         axes = figure.add_subplot(grid[1, 0])
         names = list(LEFT_OUT)[::-1]
         mean = {"color": "#9A9A9A", "lw": 0.8, "label": "mean with all effects"}
@@ -397,7 +397,7 @@ def draw(found: Found, out: Path) -> None:
             axes.plot(each, np.full(len(each), row), "o", color=color, alpha=0.7, label=label)
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="median |error| (mm)", xscale="log", title="left out of the simulation")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), labelspacing=1)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.05))
         axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
