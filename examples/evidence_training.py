@@ -202,7 +202,7 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
         "from each pixel (sides that the view does not see are not in it)."
     )
     with house_style():
-        figure, grid = captioned([2.6, 4.4], text, "Depth of a hidden box, learnt with and without its evidence")
+        figure, grid = captioned([2.4, 5.2], text, "Depth of a hidden box, learnt with and without its evidence")
         axes = figure.add_subplot(grid[0, 0])
         for recipe, square in found.items():
             mean, off = by_class(square, sigma)
@@ -210,7 +210,7 @@ def draw(found: Mapping[str, Array], pictures: Mapping[str, Array], kept: Scenes
         names = ["< 1", "1 to 3", "3 to 10", "10 to 30", "> 30"]
         axes.set_xticks(range(len(names)), names)
         axes.set(xlabel="significance of the box (σ)", ylabel="error of depth (mm)", ylim=(0, None))
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes.legend(loc="lower left")
         _draw_scenes(figure.add_subfigure(grid[1, 0]), pictures, kept, sigma)
         save_png(figure, out)
 
@@ -223,24 +223,24 @@ def _draw_scenes(below: SubFigure, pictures: Mapping[str, Array], kept: Scenes, 
         "truth": kept.depth.numpy(),
         "every\nbox alike": pictures[first],
         "weighted by\nσ²/(9 + σ²)": pictures[second],
-        "evidence": np.log10(kept.evidence.numpy().clip(1e-2)),
+        "evidence,\nits sum below": np.log10(kept.evidence.numpy().clip(1e-2)),
     }
     depths = {"cmap": "viridis_r", "vmin": 0, "vmax": float(kept.depth.max())}
     panels = below.subplots(len(lines), len(chosen))
     for row, (name, images) in zip(panels, lines.items(), strict=True):
-        style = {"cmap": "magma", "vmin": -2, "vmax": 2} if name == "evidence" else depths
+        style = {"cmap": "magma", "vmin": -2, "vmax": 2} if name.startswith("evidence") else depths
         for panel, scene in zip(row, chosen, strict=True):
             shown = panel.imshow(np.where(kept.box[scene].numpy() > 0, images[scene], np.nan), **style)
             framed(panel)
         row[0].set_ylabel(name)
-        if name == "evidence":
+        if name.startswith("evidence"):
             scale = below.colorbar(shown, ax=list(row), label="detections")
             scale.set_ticks([-2, 0, 2], labels=["0.01", "1", "100"])
     below.colorbar(panels[0, 0].images[0], ax=panels[:-1].ravel().tolist(), label="depth (m)")
     for panel, scene in zip(panels[0], chosen, strict=True):
         panel.set_title(f"{_short(sigma[scene])} σ", loc="center")
     for panel, scene in zip(panels[-1], chosen, strict=True):
-        panel.set_xlabel(f"in all {_short(float(kept.evidence[scene].sum()))}")
+        panel.set_xlabel(_short(float(kept.evidence[scene].sum())))
 
 
 def _short(value: float) -> str:

@@ -182,7 +182,7 @@ def picture(rows: Sequence[Row], title: str, path: Path) -> Path:
             axis.set_minor_formatter(NullFormatter())
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.yaxis.set_major_formatter(lambda value, _: percent(value))
-        axes.margins(0.15, 0.12)
+        axes.margins(0.2, 0.12)
         axes.legend(fontsize=8)
         return save_png(figure, path)
 
