@@ -38,8 +38,9 @@ def numbers(found: Transient) -> list[NDArray[np.float64]]:
     return [parts, (found.total.sum(axis=2) + found.overflow).ravel(), np.append(by_time, found.overflow.sum())]
 
 
-def same_light(scene: Scene, capture: Capture) -> None:
-    cuts = [simulate(scene, capture, Accuracy(target=0.02, part_target=0.05), seed=s) for s in range(1, 1 + RUNS)]
+def same_light(scene: Scene, capture: Capture, target: float = 0.02) -> None:
+    asked = Accuracy(target=target, part_target=2.5 * target)
+    cuts = [simulate(scene, capture, asked, seed=s) for s in range(1, 1 + RUNS)]
     assert {run.samplers["primary"] for run in cuts} <= {"cuts", "paths"}
     paths = [simulate(scene, capture, Accuracy(samples=4096), seed=s) for s in range(RUNS)]
     ours, theirs = (
@@ -80,7 +81,8 @@ def test_a_pixel_that_reaches_over_the_edge_of_the_wall() -> None:
     wall = Part("wall", rectangle((0, 0, 1), (0, 1, 0), (0, 0, 1)), Lambertian(0.8), "relay_wall")
     box = trimesh.creation.box(bounds=[(1.2, -0.3, 0.7), (1.8, 0.3, 1.3)])
     scene = Scene.from_parts([wall, Part("box", box, Lambertian(0.6))])
-    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 1.06, 1.1), 0.2, TIME, (0.4, 0.1, 1.9)))
+    # To 2 % cuts take ten times as long as to 5 %, or leave the light to paths.
+    same_light(scene, one_point_capture((0, -0.3, 1.1), (0, 1.06, 1.1), 0.2, TIME, (0.4, 0.1, 1.9)), 0.05)
 
 
 def bumpy(seed: int = 3) -> trimesh.Trimesh:

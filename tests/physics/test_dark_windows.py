@@ -119,7 +119,7 @@ def test_a_flood_has_the_light_of_its_paths(weights: str | None) -> None:
 def test_a_flood_is_as_far_off_as_it_claims() -> None:
     """The target is that of the sum over all laser points, which is met with the rays of few of them."""
     scene, capture = flood(6)
-    truth = PlainPaths.of(scene, capture, Accuracy(max_bounces=3), 1 << 13, 99)
+    truth = PlainPaths.of(scene, capture, Accuracy(max_bounces=3), 1 << 11, 99)
     runs = [simulate(scene, capture, Accuracy(target=0.05, max_bounces=3), seed=seed) for seed in range(SEEDS)]
     true = np.mean([truth.check(run.total, "primary").square for run in runs])
     claimed = np.mean([run.relative_error**2 for run in runs])

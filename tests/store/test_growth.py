@@ -46,7 +46,14 @@ def quiet() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="module", params=[small_config, sequence_config], ids=["scenes", "sequences"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(small_config, id="scenes"),
+        # A growth moves shards, whatever axes their fields have.
+        pytest.param(sequence_config, id="sequences", marks=pytest.mark.nightly),
+    ],
+)
 def config(request: pytest.FixtureRequest) -> Config:
     """Of scenes that are measured once, and of sequences."""
     made_of: Callable[..., DatasetConfig] = request.param

@@ -30,17 +30,19 @@ def test_a_kill_between_any_two_steps_loses_nothing(tmp_path: Path, mending: boo
     check(harm.kills_between_steps(number, tmp_path, mending), number or 50)
 
 
-@pytest.mark.parametrize("mending", [False, True])
-@pytest.mark.parametrize("number", [3, pytest.param(None, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    ("mending", "number"),
+    [(False, 3), *(pytest.param(mending, None, marks=pytest.mark.nightly) for mending in (False, True))],
+)
 def test_a_kill_of_a_build_of_sequences_loses_nothing(tmp_path: Path, mending: bool, number: int | None) -> None:
     check(harm.kills_between_steps(number, tmp_path, mending, harm.SHORT_SEQUENCES), number or 50)
 
 
-@pytest.mark.parametrize("kind", ["dataset.json", "coordinate", "sharded field", "small field"])
-def test_no_corruption_of_a_sequence_is_silent_or_lasts(tmp_path: Path, kind: str) -> None:
-    check(harm.corruptions(kind, 1, tmp_path, random.Random(kind), frames=3), 1)
-
-
-@pytest.mark.parametrize("kind", ["dataset.json", "commit record", "README.md", "zarr.json", "sharded field"])
-def test_no_corruption_is_silent_or_lasts(tmp_path: Path, kind: str) -> None:
-    check(harm.corruptions(kind, 1, tmp_path, random.Random(kind)), 1)
+@pytest.mark.parametrize(
+    ("kind", "frames"),
+    [("dataset.json", None), ("commit record", None), ("README.md", None), ("zarr.json", None),
+     ("sharded field", None), ("sharded field", 3), ("small field", 3), ("coordinate", 3)],
+)  # fmt: skip
+def test_no_corruption_is_silent_or_lasts(tmp_path: Path, kind: str, frames: int | None) -> None:
+    """Of scenes that are measured once, and of sequences (3 frames)."""
+    check(harm.corruptions(kind, 1, tmp_path, random.Random(kind), frames), 1)

@@ -72,7 +72,14 @@ def built(config: DatasetConfig | None = None, **options: Any) -> BuildResult:
     return build_fakes(config or two_shards(), ADDRESS, **options)
 
 
-@pytest.fixture(scope="module", params=[small_config, sequence_config], ids=["scenes", "sequences"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(small_config, id="scenes"),
+        # A store has objects, whatever axes the fields in them have.
+        pytest.param(sequence_config, id="sequences", marks=pytest.mark.nightly),
+    ],
+)
 def config(request: pytest.FixtureRequest) -> DatasetConfig:
     made: DatasetConfig = request.param(scenes=8)
     return made

@@ -116,9 +116,11 @@ def taken_up(make: Any, stop: int) -> tuple[list[Rows], list[Rows]]:
     return whole, found
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize(
+    ("order", "workers"),
+    [*itertools.product(("in order", "shuffled", "EpochSampler"), (0, 2)), ("persistent", 2)],
+)
 @pytest.mark.parametrize("stop", [3, 7], ids=["after an epoch", "within one"])
-@pytest.mark.parametrize("order", ["in order", "shuffled", "EpochSampler", "persistent"])
 def test_a_stateful_loader_goes_on_in_order_and_noise(either: Path, workers: int, stop: int, order: str) -> None:
     """Although workers had read ahead when the state was saved."""
 
@@ -127,7 +129,7 @@ def test_a_stateful_loader_goes_on_in_order_and_noise(either: Path, workers: int
         torch.manual_seed(7)
         options: dict[str, Any] = {"shuffle": order != "in order"}
         if order in ("EpochSampler", "persistent"):
-            options = {"sampler": dg.EpochSampler(data), "persistent_workers": order == "persistent" and workers > 0}
+            options = {"sampler": dg.EpochSampler(data), "persistent_workers": order == "persistent"}
         start = {"multiprocessing_context": "fork"} if workers else {}
         return StatefulDataLoader(data, 4, num_workers=workers, collate_fn=dg.collate, **start, **options)
 
