@@ -16,6 +16,7 @@ from datasets import write_dataset
 import datagen as dg
 from datagen.building.input_check import check_inputs
 from datagen.capture.device_optics import footprints
+from datagen.capture.devices import STEEPEST
 from datagen.config import config_from_mapping, load_config, time_axes
 from datagen.detector import detector_for
 from datagen.devices import device_names
@@ -149,9 +150,10 @@ def test_a_given_pulse_replaces_the_measured_one() -> None:
 
 
 def test_a_device_looks_straight_at_an_object() -> None:
-    """In the share of scenes asked for it stands as far away as asked for, and its axis meets the object's
-    middle."""
-    config = configured(capture={"at_objects": {"share": 0.75, "distance_m": 0.9, "aside_deg": 0.0}})
+    """In the share of scenes asked for it stands as far away and as high as asked for, and its axis meets the middle
+    of the object."""
+    straight_at = {"share": 0.75, "distance_m": 0.9, "height_m": 0.5, "aside_deg": 0.0}
+    config = configured(capture={"at_objects": straight_at})
     straight = 0
     for index in range(24):
         scene = dg.scene_for(config, index)
@@ -166,6 +168,7 @@ def test_a_device_looks_straight_at_an_object() -> None:
         away = np.linalg.norm(np.array(middles) - sensor.position, axis=1)
         assert np.abs(away - 0.9).min() < 1e-9
         near = middles[int(np.abs(away - 0.9).argmin())]
+        assert sensor.position[2] == pytest.approx(np.clip(0.5, near[2] - 0.9 * STEEPEST, near[2] + 0.9 * STEEPEST))
         axis = dg.device("tmf8820").at(sensor.position, near)[0].sensor.pixels
         np.testing.assert_allclose(sensor.pixels, axis, atol=1e-9)
     # Binomial(24, 0.75) lies in 11 … 24 with a probability of 99.9 %.

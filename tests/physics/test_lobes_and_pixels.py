@@ -55,7 +55,7 @@ def test_a_pixel_on_both_sides_of_a_plates_plane_has_its_light() -> None:
     accuracy, crossed = Accuracy(target=0.02, max_bounces=3), 1
     found = [simulate(foreign.scene, foreign.capture, accuracy, seed=seed).parts[part] for seed in range(SEEDS)]
     energy = np.array([light[crossed].sum() for light in found])
-    runs = truth_of(foreign, 4 * SAMPLES).runs[part].reshape(RUNS, *found[0].shape)[:, crossed].sum(axis=(1, 2))
+    runs = truth_of(foreign).runs[part].reshape(RUNS, *found[0].shape)[:, crossed].sum(axis=(1, 2))
     assert abs(energy.mean() - runs.mean()) < SIGMAS * np.hypot(stats.sem(energy), stats.sem(runs))
     assert stats.sem(energy) < 0.05 * runs.mean()
 

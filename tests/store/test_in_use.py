@@ -27,7 +27,6 @@ from datagen.store import reader, shard, verify
 from datagen.store.info import info
 
 FIELDS = ("histogram", "depth", "laser_points")
-MADE_OF = pytest.mark.parametrize("made_of", [small_config, sequence_config], ids=["scenes", "sequences"])
 
 
 def values(data: TransientDataset) -> list[dict[str, torch.Tensor]]:
@@ -38,7 +37,7 @@ def same(found: list[dict[str, torch.Tensor]], due: list[dict[str, torch.Tensor]
     return all(torch.equal(a[name], b[name]) for a, b in zip(found, due, strict=True) for name in a)
 
 
-@MADE_OF
+@pytest.mark.parametrize("made_of", [small_config, sequence_config], ids=["scenes", "sequences"])
 @pytest.mark.parametrize("memory", [0, reader.MEMORY_BYTES])
 def test_an_opened_dataset_stays_as_it_was_when_it_grows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, memory: int, made_of: Callable[..., DatasetConfig]
@@ -56,14 +55,13 @@ def test_an_opened_dataset_stays_as_it_was_when_it_grows(
     assert read.parameters("kind").tolist() == kinds and read.stats == stats
 
 
-@MADE_OF
 @one_worker_here()
 def test_reading_beside_a_build_gives_right_values_or_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_of: Callable[..., DatasetConfig]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At every scene that is made, and before every file of a shard is written."""
     root, found = tmp_path / "set", Counter[str]()
-    build_fakes(made_of(scenes=10), root)
+    build_fakes(small_config(scenes=10), root)
     due = values(TransientDataset(root, FIELDS))
     opened = [TransientDataset(root, FIELDS) for _ in range(2)]
     values(opened[0])
@@ -92,7 +90,7 @@ def test_reading_beside_a_build_gives_right_values_or_one_line(
 
     written = shard._write_new
     monkeypatch.setattr(shard, "_write_new", write)
-    build_fakes(made_of(scenes=14), root, sample_function=sample)
+    build_fakes(small_config(scenes=14), root, sample_function=sample)
     assert len(found) == 6 and all(name.endswith(": right") and times > 20 for name, times in found.items()), found
     assert verify(root, deep=True).problems == ()
 

@@ -142,7 +142,7 @@ def read_by(data: Any, workers: int = 0, collate: Any = dg.collate, size: int = 
     return list(DataLoader(data, size, num_workers=workers, collate_fn=collate, **start))
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@pytest.mark.parametrize("workers", [0, 1])
 @pytest.mark.parametrize("way", WAYS)
 def test_what_code_of_users_makes_of_items_is_in_the_batch(dataset: Path, way: str, workers: int) -> None:
     plain = dg.TransientDataset(dataset)

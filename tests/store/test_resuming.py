@@ -39,10 +39,13 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_dataset(noisy_config(), tmp_path_factory.mktemp("resumed") / "set", fake_sample)
 
 
-@pytest.fixture(scope="module", params=[noisy_config(), sequence_config(scenes=6)], ids=["scenes", "windows"])
+EITHER = {"scenes": noisy_config(), "windows": sequence_config(scenes=6)}
+
+
+@pytest.fixture(scope="module", params=EITHER)
 def either(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of twelve items: scenes, or windows of sequences, of which neighbours have a frame in common."""
-    return write_dataset(request.param, tmp_path_factory.mktemp("either") / "set", fake_sample)
+    return write_dataset(EITHER[request.param], tmp_path_factory.mktemp("either") / "set", fake_sample)
 
 
 def fresh(path: Path) -> dg.TransientDataset:
@@ -116,9 +119,13 @@ def taken_up(make: Any, stop: int) -> tuple[list[Rows], list[Rows]]:
     return whole, found
 
 
+ORDERS = [*itertools.product(("in order", "shuffled", "EpochSampler"), (0, 2)), ("persistent", 2)]
+
+
 @pytest.mark.parametrize(
-    ("order", "workers"),
-    [*itertools.product(("in order", "shuffled", "EpochSampler"), (0, 2)), ("persistent", 2)],
+    ("either", "order", "workers"),
+    [*(("scenes", *order) for order in ORDERS), ("windows", "shuffled", 0), ("windows", "persistent", 2)],
+    indirect=["either"],
 )
 @pytest.mark.parametrize("stop", [3, 7], ids=["after an epoch", "within one"])
 def test_a_stateful_loader_goes_on_in_order_and_noise(either: Path, workers: int, stop: int, order: str) -> None:

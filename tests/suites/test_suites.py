@@ -108,6 +108,10 @@ def test_rooms_agree_to_rounding(tiny: Path) -> None:
         return replace(known, scenes=(first, replace(second, room=room)))
 
     check_agreement(tiny / "built", moved(1e-12))
+    word = next(name for name, value in second.room.items() if isinstance(value, str))
+    other = replace(known, scenes=(first, replace(second, room=second.room | {word: "another"})))
+    with pytest.raises(dg.CheckError, match=rf"scene 1 has another room .*: {word} = .*, published another"):
+        check_agreement(tiny / "built", other)
     moved(1e-6).write(tiny / "tiny-1.json")
     try:
         with pytest.raises(dg.CheckError, match=r"scene 1 has another room than published .*: layout\.height_m = "):
