@@ -135,9 +135,9 @@ class Laser:
     ) -> Laser:  # fmt: skip
         """One wide beam through the rectangle `center ± right ± up`, as rows × columns laser points in its cells.
 
-        The laser points are the middles of equal cells, row 0 at the top, column 0 at −right. One bounce of light is
-        integrated over the whole cells, light of more bounces starts at the laser points. `weights` (rows · columns,)
-        are the shares of the light in the cells. It goes with `Capture(…, illumination="flood")`.
+        The laser points are the middles of equal cells, row 0 at the top, column 0 at −right; light goes to all of
+        the cells, not to their middles alone. `weights` (rows · columns,) are the shares of the light in the cells.
+        It goes with `Capture(…, illumination="flood")`.
 
         Raises `InputError` for fewer than one row or column, and for `right` and `up` that span no rectangle.
 

@@ -59,6 +59,7 @@ from datagen.transport.brdf import cosine_directions
 from datagen.transport.effort import REPLICATES, Floats32
 from datagen.transport.fields_of_view import FovPool, fov_points, in_pixels
 from datagen.transport.geometry import TINY
+from datagen.transport.laser_points import LaserPoints
 from datagen.transport.problem import Problem
 from datagen.transport.sampling import SURVIVAL
 from datagen.units import path_from_time
@@ -111,25 +112,19 @@ def _neighbours(points: Floats, most: int) -> list[Ints]:
 class Blocks:
     """What all blocks of a problem share.
 
-    lasers : the laser points. groups : of neighbouring laser points and pixels; each pair of the capture is in one of
-    them. unit : photons that light in blocks is a multiple of, so that single precision has room for it.
+    lasers : the laser points, of a beam the middles of its cells. groups : of neighbouring laser points and pixels;
+    each pair of the capture is in one of them. unit : photons that light in blocks is a multiple of, so that single
+    precision has room for it.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem, self.caster, capture = problem, problem.caster, problem.capture
-        axis, points, P = capture.time, problem.points, len(capture.sensor.pixels)
+        axis, P = capture.time, len(capture.sensor.pixels)
         # Kinds of one type, so that kernels are compiled once, whether or not all parts of a scene are Lambertian.
         self.scene = problem.numbers._replace(kind=problem.materials.kind.astype(np.int64))
         self.per_metre, self.start = 1.0 / float(path_from_time(axis.width_s)), axis.start_s / axis.width_s
         self.is_confocal, self.is_flood = capture.pairing == "confocal", capture.illumination == "flood"
-        exists = points.part >= 0
-        leg = np.where(exists, points.leg, 0.0)
-        self.lasers = Ends(
-            np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
-            np.where(exists, problem.pairs.share * np.exp(-self.scene.air * leg), 0.0),
-            leg * self.scene.from_source,
-            np.zeros(len(leg)), np.ones(len(leg)),
-        )  # fmt: skip
+        self.lasers = self.ends_of_lasers(problem.points)
         self.unit = 1.0
         middle = self.fov_points(np.arange(P), np.full((P, 1, 2), 0.5))
         self.unit = float(middle.gain.max()) or 1.0
@@ -143,6 +138,24 @@ class Blocks:
                 for pixels in _neighbours(middle.position, size)
                 for some in of_lasers
             ]
+
+    def ends_of_lasers(self, points: LaserPoints) -> Ends:
+        """Laser points as ends of paths."""
+        exists = points.part >= 0
+        leg = np.where(exists, points.leg, 0.0)
+        return Ends(
+            np.where(exists[:, None], points.position, 0.0), points.normal, points.to_laser, points.part,
+            np.where(exists, self.problem.pairs.share * np.exp(-self.scene.air * leg), 0.0),
+            leg * self.scene.from_source,
+            np.zeros(len(leg)), np.ones(len(leg)),
+        )  # fmt: skip
+
+    def lasers_of_block(self, rng: np.random.Generator) -> Ends:
+        """The laser points that a block has; other ones in each where a beam states its cells."""
+        problem = self.problem
+        if problem.capture.laser.cells is None:
+            return self.lasers
+        return self.ends_of_lasers(LaserPoints.in_cells(self.caster, problem.scene, problem.capture.laser, 1, rng))
 
     def fov_points(self, pixels: Ints, uv: Floats) -> Ends:
         """FoV points at coordinates uv (P, Q, 2) of the quadrilaterals of some pixels, set after set."""
@@ -230,7 +243,7 @@ class _Block:
         self.full, self.is_measuring = ({}, True) if full is None else (full, False)
         L, P = len(self.group.lasers), len(self.group.pixels)
         of_lasers, of_pixels = source.chances.get(group, (np.full(L, 1.0 / L), np.full(P, 1.0 / P)))
-        self.front = rows_of(self.blocks.lasers, self.group.lasers)._replace(chance=of_lasers)
+        self.front = rows_of(self.blocks.lasers_of_block(rng), self.group.lasers)._replace(chance=of_lasers)
         # The sets of a pixel are a lattice with a shift of its own: evenly spread, and each point uniform.
         number = np.arange(FOV_SETS)
         lattice = np.stack([number, 3 * number % FOV_SETS], axis=1) / FOV_SETS

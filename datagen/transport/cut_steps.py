@@ -20,6 +20,7 @@ from datagen.transport.cut_elements import (
     Waiting,
     Way,
     cluster_of,
+    cluster_within,
     guess,
     halve,
     judge,
@@ -27,6 +28,7 @@ from datagen.transport.cut_elements import (
     open_box,
     open_cluster,
     push,
+    way_to,
 )
 from datagen.transport.geometry import corner, distance, get, subtract, transmittance
 from datagen.transport.rays import lifted_and_scaled
@@ -326,7 +328,13 @@ def _sample(walk, top, piece, chance, asked, setup, pool, pair, way, expected, b
     j, light = _choose_fov_point(hidden, walk, top, setup, pool, pair, way, batch.change[used, 2:])
     if j < 0:
         return False
-    z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, walk.tag[top, 2]]
+    c = walk.tag[top, 2]
+    if setup.within > 0:
+        # Over less than the cluster: where it is uneven, times do not come from all of it alike.
+        c = cluster_within(c, walk.tag[top, 3], many, (j - pair.first) // 2, setup.within)
+        way = way_to(way, cluster_of(setup, pool, pair.pixel, c, pair.power))
+        batch.change[used, 2], batch.change[used, 3] = 0.0, 0.0
+    z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, c]
     _set_rays(batch.ends[used], hidden, way.lit, z, get(pool.normal, j, 0), setup.scene)
     _set_times(batch.time[used], batch.change[used], hidden, z, pool.leg[j], row, setup, pair, way)
     batch.light[used], batch.level[used] = light / chance, hidden.level

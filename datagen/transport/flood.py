@@ -10,10 +10,11 @@ its error is of second order in the size of a cell where the transient varies sm
 order where it has steps (a zone that ends inside a cell, the edge of a shadow). With four laser points in a zone 2 m
 away the first return is within 0.2 % of the integral (`tests/capture/test_flood.py` checks the order).
 
-A beam that states the cells of its laser points (`Laser.flood`) has its light of one bounce integrated over the
-whole cells instead, with thousands of rays (`one_bounce_of_beam`): that is what a sensor sees that looks straight at
-things. Its light of two bounces is an integral over the same rays (`two_bounces_of_beam`), by which captures are
-compared with their simulation; `simulate` has it from paths.
+A beam that states the cells of its laser points (`Laser.flood`) is integrated over the whole cells instead: light of
+one bounce, which is what a sensor sees that looks straight at things, with thousands of rays (`one_bounce_of_beam`),
+light of more bounces from random laser points in all cells (`laser_points.py`), whose error is part of the claim. Its
+light of two bounces is an integral over the same rays (`two_bounces_of_beam`), by which captures are compared with
+their simulation; `simulate` has it from paths.
 """
 
 from __future__ import annotations

@@ -1,4 +1,9 @@
-"""Laser points: where the laser's rays first meet a surface."""
+"""Laser points: where the laser's rays first meet a surface.
+
+A beam that states the cells of its laser points (`Laser.cells`) lights all of each cell evenly. Paths have a laser
+point anywhere in the cell, each its own. Cuts and blocks, which light many hidden points from a few laser points,
+draw one in each of some equal parts of a cell, anew for each replicate: the mean is the integral over the beam, and
+replicates tell what so few points leave of an error."""
 
 from __future__ import annotations
 
@@ -34,6 +39,25 @@ class LaserPoints(NamedTuple):
         to_laser = -span / np.linalg.norm(span, axis=1, keepdims=True)
         return cls(position, hits.normal, to_laser, part, np.linalg.norm(position - laser.position, axis=1))
 
+    @classmethod
+    def in_cells(
+        cls, caster: Raycaster, scene: Scene, laser: Laser, sides: int, rng: np.random.Generator
+    ) -> LaserPoints:  # fmt: skip
+        """Laser points (sides² · L) of a beam that states its cells: a random one in each of sides × sides equal
+        parts of each cell; those of all cells in their first part come first."""
+        assert laser.cells is not None
+        row, column = np.divmod(np.arange(sides * sides)[:, None], sides)
+        uv = (np.stack([column, row], axis=-1) + rng.random((sides * sides, len(laser.cells), 2))) / sides
+        targets = targets_in_cells(laser, np.arange(len(laser.cells)), uv)
+        return cls.of(caster, scene, Laser(laser.position, targets.reshape(-1, 3)))
+
     def take(self, lasers: Ints) -> LaserPoints:
         """The laser points with the given indices, which may repeat."""
         return LaserPoints._make(values[lasers] for values in self)
+
+
+def targets_in_cells(laser: Laser, number: Ints, uv: Floats) -> Floats:
+    """(…, 3) targets, metres, at coordinates uv (…, 2) of the cells of some laser points (…), by number."""
+    assert laser.cells is not None
+    a, b, _, d = (laser.cells[number, k] for k in range(4))
+    return np.asarray(a + uv[..., :1] * (b - a) + uv[..., 1:] * (d - a))

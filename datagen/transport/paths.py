@@ -37,6 +37,7 @@ from datagen.seeding import LightStream
 from datagen.transport import path_steps as steps
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
+from datagen.transport.laser_points import targets_in_cells
 from datagen.transport.path_aim import GUESSES_PER_SAMPLE, Aim, aim_at_pairs, aim_of
 from datagen.transport.path_steps import Found, PathSetup, Rays, Samples, Vertices, empty_record, first_rows
 from datagen.transport.rays import Raycaster
@@ -88,9 +89,8 @@ class _Batch:
         laser, points, number = self.tracer.capture.laser, self.tracer.lasers, self.tracer.laser_row[self.laser]
         if laser.cells is not None:
             # Where a beam states its cells, a laser point is anywhere in its own.
-            a, b, _, d = (laser.cells[self.laser, k] for k in range(4))
-            u, v = self.samples.numbers[:, 9:10], self.samples.numbers[:, 10:11]
-            points, number = self.tracer.points_toward(a + u * (b - a) + v * (d - a))
+            toward = targets_in_cells(laser, self.laser, self.samples.numbers[:, 9:11])
+            points, number = self.tracer.points_toward(toward)
         x = self.buffers.turn[2]
         return first_rows(x, steps.fill_laser_points(self.setup, points, number, x))
 

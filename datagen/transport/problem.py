@@ -19,6 +19,8 @@ from datagen.transport.rays import Raycaster
 from datagen.transport.reference import pairs_of
 from datagen.transport.scene_numbers import SceneNumbers
 
+LOOKED_FROM = 16
+"""Along each side of a beam's cell, rays that tell whether the beam meets the scene: of a beam of one cell 256."""
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
 
@@ -56,6 +58,12 @@ class Pairs(NamedTuple):
         """The pairs of a capture."""
         share = capture.laser.shares if capture.illumination == "flood" else np.ones(len(capture.laser.targets))
         return cls(pairs_of(capture), math.prod(capture.shape[:2]), share)
+
+    def in_parts(self, parts: int) -> Pairs:
+        """The pairs of so many equal parts of each laser point, whose numbers follow those of all before."""
+        ends = np.tile(self.ends, (parts, 1))
+        ends[:, 0] += np.repeat(np.arange(parts) * len(self.share), len(self.ends))
+        return Pairs(ends, self.histograms, np.tile(self.share / parts, parts))
 
     def of_histograms(self, which: Ints) -> Ints:
         """(m, k) numbers of all k pairs of some histograms (m,)."""
@@ -104,6 +112,15 @@ class Problem:
             PixelCones.of(capture.sensor), LaserPoints.of(caster, scene, capture.laser), Pairs.of(capture), seed,
             split_parts,
         )  # fmt: skip
+
+    @property
+    def is_lit(self) -> bool:
+        """Whether a laser ray meets the scene; of a beam that states its cells any one of several in each."""
+        if (self.points.part >= 0).any() or self.capture.laser.cells is None:
+            return bool((self.points.part >= 0).any())
+        rng = np.random.default_rng(0)
+        some = LaserPoints.in_cells(self.caster, self.scene, self.capture.laser, LOOKED_FROM, rng)
+        return bool((some.part >= 0).any())
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -120,11 +120,13 @@ class Effort(NamedTuple):
 def static_of(
     scene: Scene, capture: Capture, instants: Floats, accuracy: Accuracy, target: float, seed: int
 ) -> Static | None:
-    """The static room of a sequence; None where its light does not come by cuts, or where no laser ray meets it.
+    """The static room of a sequence; None where its light does not come by cuts from laser points that stay, or where
+    no laser ray meets it.
 
     instants : (S, F, L) seconds. target : relative L2 error asked of three bounces.
     """
-    if set(scene.moving) == set(scene.part_names):
+    # A beam that states its cells has other laser points in each run.
+    if set(scene.moving) == set(scene.part_names) or capture.laser.cells is not None:
         return None
     static = set_apart(scene.without(*scene.moving), capture)
     three = replace(accuracy, target=target, part_target=accuracy.each_part, max_bounces=3, direct=False)

@@ -154,7 +154,7 @@ def transient_of(
     beam, is_flood = None, capture.illumination == "flood"
     if is_flood and capture.laser.cells is not None and accuracy.direct:
         beam = one_bounce_of_beam(scene, capture, problem.caster, problem.materials)
-    if not (problem.points.part >= 0).any():
+    if not problem.is_lit:
         found = nothing(problem)
     else:
         found = with_samples(problem) if accuracy.target is None else _light_to_target(problem, beam)
@@ -287,6 +287,12 @@ def _estimate_of(problem: Problem, first: Floats, primary: PrimaryLight | None, 
 
 def _is_dark(problem: Problem) -> bool:
     """Whether no light can come back within the window, whatever rays met."""
+    # The laser points of a beam with cells are their middles, which do not stand for all of it.
+    return problem.capture.laser.cells is None and _has_no_light(problem)
+
+
+def _has_no_light(problem: Problem) -> bool:
+    """Whether no light can come back within the window from the laser points."""
     return _ends_before_light(problem) or (
         not problem.accuracy.direct and has_none(problem.scene, problem.caster, problem.points)
     )

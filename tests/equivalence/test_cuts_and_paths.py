@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rooms import bins_of_path, furnished_box, one_point_capture, rectangle, square_pixels
 from scipy import stats
 
-from datagen import Accuracy, Capture, Lambertian, Laser, Part, Scene, Sensor, simulate
+from datagen import Accuracy, Capture, Lambertian, Laser, Part, Retroreflector, Scene, Sensor, simulate
 from datagen.records import Transient
 
 RUNS, LEVEL = 8, 1e-3
@@ -75,6 +75,17 @@ def test_scans(pairing: str, origin: str) -> None:
 )
 def test_pixels_of_every_size_and_place(y: float, half_side_m: float) -> None:
     same_light(furnished_box(), one_point_capture((0, -0.3, 1.1), (0, y, 1.2), half_side_m, TIME))
+
+
+def test_a_beam_that_reaches_over_the_edge_of_the_wall() -> None:
+    """Light comes from what each cell has of the wall, whether or not its middle has it."""
+    wall = Part("wall", rectangle((0, 0, 1), (0, 0.8, 0), (0, 0, 0.7)), Lambertian(0.8), "relay_wall")
+    plate = Part(
+        "plate", rectangle((0.7, 0.9, 1.1), (0, 0, 0.2), (0.1, 0.2, 0)), Retroreflector(0.9, 0.2, 0.6), "object"
+    )
+    laser = Laser.flood(DEVICE, (0, 0.2, 1.0), (0, 0.9, 0), (0, 0, 0.8), 2, 2, [1, 2, 3, 4])
+    seen = Sensor(DEVICE, square_pixels([[0, 0.3, 1.2], [0, -0.4, 0.7]], 0.15))
+    same_light(Scene.from_parts([wall, plate]), Capture(laser, seen, TIME, "exhaustive", "flood"))
 
 
 def test_a_pixel_that_reaches_over_the_edge_of_the_wall() -> None:
