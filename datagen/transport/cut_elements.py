@@ -84,9 +84,8 @@ class CutSetup(NamedTuple):
     width of its narrowest lobe, rad. outer : (K,) 1 for closed meshes whose normals point outward, −1 inward, 0 for
     other meshes. lasers, power : laser points, and the share of light that air lets through to them. per_metre,
     start, bins : bins of a metre of path, number of the first bin, and of all bins. plane : distance within which a
-    point lies on a plane, m. smallest : side of the smallest piece that is cut, m. within : how many times a cluster
-    is divided into quarters for the one that a sample's light is spread over; 0 where pixels are as sensitive
-    everywhere.
+    point lies on a plane, m. smallest : side of the smallest piece that is cut, m. uneven : whether pixels are not as
+    sensitive everywhere.
     """
 
     scene: SceneNumbers
@@ -101,7 +100,7 @@ class CutSetup(NamedTuple):
     bins: float
     plane: float
     smallest: float
-    within: int
+    uneven: bool
 
 
 class Surface(NamedTuple):
@@ -200,17 +199,6 @@ def cluster_of(setup, pool, p, c, power):  # type: ignore[no-untyped-def]
         get(pool.cluster[p], c, 0), get(pool.cluster[p], c, 3), row[6], row[7], row[8], power * row[9], one,
         get(pool.to_sensor, one, 0), brdf_of(setup.scene, k), setup.lobe[k],
     )  # fmt: skip
-
-
-@compiled(forceinline=True, allocates=False)
-def cluster_within(c, q, many, square, times):  # type: ignore[no-untyped-def]
-    """The number of the cluster about a square of a pixel, so many `times` a quarter of a quarter of cluster c, which
-    has `many` squares from q on, or the square itself."""
-    while times > 0 and many > 1:
-        many //= 4
-        quarter = (square - q) // many
-        c, q, times = 4 * c + 1 + quarter, q + quarter * many, times - 1
-    return c
 
 
 @compiled(forceinline=True, allocates=False)

@@ -20,7 +20,6 @@ from datagen.transport.cut_elements import (
     Waiting,
     Way,
     cluster_of,
-    cluster_within,
     guess,
     halve,
     judge,
@@ -329,9 +328,10 @@ def _sample(walk, top, piece, chance, asked, setup, pool, pair, way, expected, b
     if j < 0:
         return False
     c = walk.tag[top, 2]
-    if setup.within > 0:
-        # Over less than the cluster: where it is uneven, times do not come from all of it alike.
-        c = cluster_within(c, walk.tag[top, 3], many, (j - pair.first) // 2, setup.within)
+    if setup.uneven:
+        # Light does not come from all of the cluster alike, but from all of the square of the FoV point. The elements
+        # of a beam's many laser points are coarse, and what they blur is alike in all of them.
+        c = pool.cluster.shape[1] - squares + (j - pair.first) // 2
         way = way_to(way, cluster_of(setup, pool, pair.pixel, c, pair.power))
         batch.change[used, 2], batch.change[used, 3] = 0.0, 0.0
     z, row = get(pool.position, j, 0), pool.cluster[pair.pixel, c]

@@ -88,10 +88,6 @@ RUNS = 3
 NEAR = 0.1
 """Share of elements whose FoV points are far apart for their distance, as guessed, from which on cuts do not know the
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
-WITHIN = 2
-"""How many times the cluster of a sample is divided for the part that its light is spread over, in pixels that are
-not as sensitive everywhere: without, 64 such zones and as many cells of a beam erred alike in all runs by 1.3 of a
-target of 5 %; with 2 by less than 0.4, which was the noise of what they were compared with."""
 PARTS = 0.25
 """Fewest elements of a replicate, over `MOST`, up to which the cells of a beam are divided, as what few laser points
 leave of an error does not fall with δ."""
@@ -184,7 +180,7 @@ class Cuts:
         self.setup = CutSetup(
             problem.numbers, tree, peak, width, outer_sides(scene), problem.points, self._powers(problem.points),
             1.0 / bin_m, axis.start_s / axis.width_s, float(axis.bins), ON_PLANE * tree.extent,
-            SMALLEST * tree.extent, 0 if problem.capture.sensor.footprints is None else WITHIN,
+            SMALLEST * tree.extent, problem.capture.sensor.footprints is not None,
         )  # fmt: skip
         self.squares = squares_of(problem, width, bin_m, np.random.default_rng(self.seed(0)))
         self.of_objects = np.array([role == "object" for role in scene.roles])
