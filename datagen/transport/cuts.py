@@ -90,8 +90,8 @@ NEAR = 0.1
 light: 0.2 for a plate 1 mm from a laser point, 0.06 at most in rooms with rough walls."""
 PARTS = 0.25
 """Fewest elements of a replicate, over `MOST`, up to which the cells of a beam are divided, as what few laser points
-leave of an error does not fall with δ: with an eighth, 2 × 2 parts of 64 cells claimed 6 % of a plate before a TMF8828
-where 5 % were asked; with a half, a reflecting one had too many elements to be known."""
+leave of an error does not fall with δ: with an eighth, 2 × 2 parts of each cell claimed 6 % of a plate before a
+TMF8828 where 5 % were asked; with a half, a reflecting plate had too many elements to be known."""
 MOST = 1 << 15
 """Most elements of a histogram in any run, beside those of what is near, taken together for all; for targets down to
 `FINE`, and in proportion to 1/target² below, as paths need: two replicates of so many take 131 000 rays, as many as
