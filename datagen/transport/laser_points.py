@@ -15,6 +15,9 @@ from datagen.records import Laser, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.rays import Raycaster
 
+LOOKED_FROM = 16
+"""Along each side of a beam's cell, rays that tell whether it meets the scene where its middle does not."""
+
 
 class LaserPoints(NamedTuple):
     """Where each of L laser rays first meets a surface.
@@ -61,3 +64,15 @@ def targets_in_cells(laser: Laser, number: Ints, uv: Floats) -> Floats:
     assert laser.cells is not None
     a, b, _, d = (laser.cells[number, k] for k in range(4))
     return np.asarray(a + uv[..., :1] * (b - a) + uv[..., 1:] * (d - a))
+
+
+def parts_lit(caster: Raycaster, scene: Scene, laser: Laser) -> Ints:
+    """(L,) indices of the parts that the laser's rays meet, −1 for none; of a beam that states its cells the part
+    that most rays of a cell meet, where its middle meets none."""
+    part = LaserPoints.of(caster, scene, laser).part
+    if laser.cells is not None and (part < 0).any():
+        several = LaserPoints.in_cells(caster, scene, laser, LOOKED_FROM, np.random.default_rng(0)).part
+        for k in np.flatnonzero(part < 0):
+            met = several[k :: len(part)]
+            part[k] = np.bincount(met[met >= 0]).argmax() if (met >= 0).any() else -1
+    return part

@@ -13,14 +13,12 @@ from datagen.records import Accuracy, Capture, Scene
 from datagen.records.arrays import Floats, Ints
 from datagen.transport.brdf import MaterialTable
 from datagen.transport.fields_of_view import PixelCones
-from datagen.transport.laser_points import LaserPoints
+from datagen.transport.laser_points import LaserPoints, parts_lit
 from datagen.transport.memory import in_calls
 from datagen.transport.rays import Raycaster
 from datagen.transport.reference import pairs_of
 from datagen.transport.scene_numbers import SceneNumbers
 
-LOOKED_FROM = 16
-"""Along each side of a beam's cell, rays that tell whether the beam meets the scene: of a beam of one cell 256."""
 COMPONENTS: tuple[str, ...] = ("direct", "primary", "secondary", "higher")
 
 
@@ -116,11 +114,7 @@ class Problem:
     @property
     def is_lit(self) -> bool:
         """Whether a laser ray meets the scene; of a beam that states its cells any one of several in each."""
-        if (self.points.part >= 0).any() or self.capture.laser.cells is None:
-            return bool((self.points.part >= 0).any())
-        rng = np.random.default_rng(0)
-        some = LaserPoints.in_cells(self.caster, self.scene, self.capture.laser, LOOKED_FROM, rng)
-        return bool((some.part >= 0).any())
+        return bool((parts_lit(self.caster, self.scene, self.capture.laser) >= 0).any())
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -82,6 +84,23 @@ def test_four_bounces_to_a_target_come_from_all_of_a_beam() -> None:
     middles = dg.Capture(dg.Laser(laser.position, laser.targets), seen, capture.time, "exhaustive", "flood")
     other = dg.simulate(furnished_box(), middles, ways[1]).components["secondary"].sum(axis=(0, 2))
     assert (np.abs(other - paths.mean(axis=0)) > allowed).any()
+
+
+def test_a_beam_whose_middle_goes_through_a_gap_has_light() -> None:
+    """No warning says that it meets nothing, and its light to a target is that of paths."""
+    sides = [rectangle((0, y, 0), (0, 0.4, 0), (0, 0, 1)) for y in (-0.6, 0.6)]
+    plate = rectangle((0.6, -0.2, 0), (0, 0, 0.1), (0, 0.1, 0))
+    parts = [dg.Part(f"wall {k}", side, dg.Lambertian(0.8), "relay_wall") for k, side in enumerate(sides)]
+    room = dg.Scene.from_parts([*parts, dg.Part("plate", plate, dg.Lambertian(0.5))])
+    laser = dg.Laser.flood((1, 0, 0), (0, 0, 0), (0, 0.6, 0), (0, 0, 0.6), 1, 1)
+    seen = dg.Sensor.grid((1, 0, 0), (0, 0.5, 0), (0, 0.1, 0), (0, 0, 0.1), 1, 1)
+    capture = dg.Capture(laser, seen, bins_of_path(200, 0.03, 0.0, "source"), "exhaustive", "flood")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ours = dg.simulate(room, capture, dg.Accuracy(target=0.05), seed=1)
+        paths = dg.simulate(room, capture, dg.Accuracy(samples=1 << 16), seed=1)
+    assert ours.samplers["primary"] == "cuts" and ours.total.sum() > 0
+    np.testing.assert_allclose(ours.total.sum(), paths.total.sum(), rtol=0.1)
 
 
 def test_light_of_an_uneven_pixel_arrives_when_its_points_see_it() -> None:
