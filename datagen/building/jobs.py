@@ -28,7 +28,7 @@ from datagen.building.shard_job import (
     Recipe,
     ShardHeld,
     abandon_shard,
-    is_free_of_writers,
+    clear_writer,
     make_scene,
     overtime,
     run_shard,
@@ -119,7 +119,7 @@ class Jobs:
         root, size = self.recipe.root, self._size
         whole = {shard for shard, failed in there.items() if not failed}
         for shard in whole:
-            is_free_of_writers(self.recipe, shard)
+            clear_writer(self.recipe, shard)
             store.running_path(root, shard).unlink(missing_ok=True)
         self.waiting.extend(Task(shard) for shard in wanted if shard not in whole)
         kept = len(wanted) - len(self.waiting)
@@ -198,7 +198,7 @@ class Jobs:
         # Noted first, so that an interruption removes the file of the lock.
         self.started.setdefault(shard, time.time())
         handle = self.locks.pop(shard, None)
-        if handle is None and is_free_of_writers(self.recipe, shard):
+        if handle is None and clear_writer(self.recipe, shard):
             handle = lock_file(path)
         if handle is None:
             self._leave_for_later(shard)

@@ -167,11 +167,11 @@ def abandon_shard(recipe: Recipe, shard: int, is_ours: bool) -> None:
             discard_shard(recipe.home(shard), recipe.manifest.schema, shard)
 
 
-def is_free_of_writers(recipe: Recipe, shard: int) -> bool:
-    """Whether no process writes a shard; the file that a killed one had locked is removed."""
+def clear_writer(recipe: Recipe, shard: int) -> bool:
+    """Whether no process writes a shard; removes the file that a killed one had locked."""
     path = writing_path(recipe.root, shard)
     try:
-        with _locked(path, patience_s=0.0) if os.path.lexists(path) else nullcontext():
+        with _hold_lock(path, patience_s=0.0) if os.path.lexists(path) else nullcontext():
             return True
     except ShardHeld:
         return False
@@ -218,16 +218,16 @@ def _last_line_of(error: BaseException) -> str:
 
 def _sole_maker(recipe: Recipe, shard: int, patience_s: float | None = None) -> AbstractContextManager[None]:
     """A context in which no other process makes a shard, for that would be in vain."""
-    return _locked(running_path(recipe.root, shard), patience_s)
+    return _hold_lock(running_path(recipe.root, shard), patience_s)
 
 
 def _sole_writer(recipe: Recipe, shard: int, patience_s: float | None = None) -> AbstractContextManager[None]:
     """A context in which no other process writes a shard, for two writers would lose data silently."""
-    return _locked(writing_path(recipe.root, shard), patience_s)
+    return _hold_lock(writing_path(recipe.root, shard), patience_s)
 
 
 @contextmanager
-def _locked(path: Path, patience_s: float | None) -> Iterator[None]:
+def _hold_lock(path: Path, patience_s: float | None) -> Iterator[None]:
     """A context in which this process has locked a file, which is there for this alone. The system unlocks it when
     the process ends. Raises `ShardHeld` if another process has it for longer than `patience_s`, by default
     `LOCK_PATIENCE_S`."""

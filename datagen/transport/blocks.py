@@ -144,7 +144,7 @@ class Blocks:
             ]
 
     def ends_of_lasers(self, points: LaserPoints) -> Ends:
-        """Laser points as ends of paths."""
+        """(L) ends where paths begin, at laser points, with the share of the emitted light that arrives at each."""
         exists = points.part >= 0
         leg = np.where(exists, points.leg, 0.0)
         return Ends(

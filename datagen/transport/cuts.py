@@ -42,6 +42,9 @@ LOOK = 8
 SECOND_LOOK = 256
 """Pairs of laser point and pixel, over all histograms, in a second look where the first met no light: that there is
 none is said of what 16 times as many elements did not meet."""
+LOOK_PAIRS = 1 << 12
+"""Pairs of laser point and pixel up to which the cells of a beam are divided for the looks: those of 64 zones and as
+many cells. Of a beam of one cell before one pixel, a look at a single point would tell little."""
 FEW = 32
 """Most histograms of a pilot: an eighth of a scan of 256; replicates of 32 tell an error to about a tenth."""
 FEWEST = 6
@@ -174,7 +177,7 @@ class Cuts:
         self.problem, scene, axis = problem, problem.scene, problem.capture.time
         self.beside = Beside(0.0, np.zeros(len(scene.part_names))) if beside is None else beside
         tree, materials = Hierarchy.of(scene), problem.materials
-        self.divide(SECOND_LOOK * AT_LEAST / len(problem.pairs.ends))
+        self.divide(LOOK_PAIRS / len(problem.pairs.ends))
         width = np.array([lobe_width(material) for material in scene.materials])
         peak = materials.values[:, 0] / math.pi * (1.0 + (materials.kind != LAMBERTIAN) / width**2)
         bin_m = float(path_from_time(axis.width_s))

@@ -66,10 +66,10 @@ def targets_in_cells(laser: Laser, number: Ints, uv: Floats) -> Floats:
     return np.asarray(a + uv[..., :1] * (b - a) + uv[..., 1:] * (d - a))
 
 
-def parts_lit(caster: Raycaster, scene: Scene, laser: Laser) -> Ints:
-    """(L,) indices of the parts that the laser's rays meet, −1 for none; of a beam that states its cells the part
-    that most rays of a cell meet, where its middle meets none."""
-    part = LaserPoints.of(caster, scene, laser).part
+def parts_lit(points: LaserPoints, caster: Raycaster, scene: Scene, laser: Laser) -> Ints:
+    """(L,) indices of the parts that the laser's rays meet, at its `points`, −1 for none; of a beam that states its
+    cells the part that most rays of a cell meet, where its middle meets none."""
+    part = points.part.copy()
     if laser.cells is not None and (part < 0).any():
         several = LaserPoints.in_cells(caster, scene, laser, LOOKED_FROM, np.random.default_rng(0)).part
         for k in np.flatnonzero(part < 0):

@@ -114,7 +114,9 @@ class Problem:
     @property
     def is_lit(self) -> bool:
         """Whether a laser ray meets the scene; of a beam that states its cells any one of several in each."""
-        return bool((parts_lit(self.caster, self.scene, self.capture.laser) >= 0).any())
+        if (self.points.part >= 0).any():
+            return True
+        return bool((parts_lit(self.points, self.caster, self.scene, self.capture.laser) >= 0).any())
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from datagen.transport.cuts import Beside, PrimaryLight, primary_by_cuts
 from datagen.transport.doubts import doubts, has_none, known_to
 from datagen.transport.effort import Sampled, Source, is_enough, sample_to_target
 from datagen.transport.flood import Beam, light_at_flooded_sensor, one_bounce_of_beam
-from datagen.transport.laser_points import parts_lit
+from datagen.transport.laser_points import LaserPoints, parts_lit
 from datagen.transport.path_light import PathsOf, with_samples
 from datagen.transport.problem import Estimate, Problem, nothing
 from datagen.transport.rays import Raycaster
@@ -113,7 +113,8 @@ def simulate(
 def warnings_of(apart: Apart, capture: Capture, accuracy: Accuracy) -> list[str]:
     """Lines about what a user of a scene and capture did not mean, most likely."""
     scene, caster = apart.scene, apart.caster
-    astray = _warning_of_stray_rays(scene, accuracy, parts_lit(caster, scene, capture.laser))
+    points = LaserPoints.of(caster, scene, capture.laser)
+    astray = _warning_of_stray_rays(scene, accuracy, parts_lit(points, caster, scene, capture.laser))
     return [line for line in (apart.warning, astray) if line] + list(doubts(scene, capture, caster, accuracy.direct))
 
 
